@@ -38,7 +38,7 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
     if body.segment == "none":
         view = bare_cloud(given.cloud(), given.name, body.clean)
     else:
-        robot = resident.robot()
+        robot = resident.robot
         view = segmented_cloud(
             given.cloud(),
             given.name,

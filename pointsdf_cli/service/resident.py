@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import torch
 
@@ -38,14 +37,16 @@ class Resident:
     Args:
         files: Robot and weights.
         device: Device of the networks.
+
+    Attributes:
+        planner: The planner for some options, made at their first use; an `InputError` says that
+            the robot or a checkpoint cannot be used.
     """
 
     def __init__(self, files: PlannerFiles | None = None, device: str = "cpu") -> None:
         self.files, self.device = files or PlannerFiles(), device
         self._identity: dict[str, str] | None = None
-        self._shape: ShapeModel | None = None
-        self._robot: RobotDescription | None = None
-        self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
+        self.planner = lru_cache(maxsize=KEPT)(self._planner)
 
     def identity(self) -> dict[str, str]:
         """Digests of the files when this was first asked. A server asks before it loads them; from
@@ -57,20 +58,6 @@ class Resident:
         if self._identity is None:
             self._identity = self.files.identity()
         return self._identity
-
-    def planner(self, choices: PlanChoices) -> GraspPlanner:
-        """The planner for these options, made at their first use.
-
-        Raises:
-            InputError: The robot or a checkpoint cannot be used.
-        """
-        if choices not in self._planners:
-            self._require_unchanged()
-            self._planners[choices] = self._made(choices)
-            while len(self._planners) > KEPT:
-                self._planners.popitem(last=False)
-        self._planners.move_to_end(choices)
-        return self._planners[choices]
 
     def plan(self, request: PlanRequest, warn: Callable[[str], None] | None = None) -> PlanResult:
         """The answer to a request.
@@ -136,21 +123,22 @@ class Resident:
         Raises:
             EmptySurfaceError: The network sees nothing solid.
         """
-        if self._shape is None:
-            self._require_unchanged()
-            self._shape = load_model(self.files.checkpoint, self.device)
         return complete_mesh(self._shape, view, choices, name)
 
+    @cached_property
     def robot(self) -> RobotDescription:
         """The robot, read at its first use.
 
         Raises:
             InputError: It cannot be used.
         """
-        if self._robot is None:
-            self._require_unchanged()
-            self._robot = load_robot(self.files.robot)
-        return self._robot
+        self._require_unchanged()
+        return load_robot(self.files.robot)
+
+    @cached_property
+    def _shape(self) -> ShapeModel:
+        self._require_unchanged()
+        return load_model(self.files.checkpoint, self.device)
 
     def _require_unchanged(self) -> None:
         """Refuse to load files that have changed since `identity` was first asked."""
@@ -160,7 +148,8 @@ class Resident:
                 hint="start `rgrasp serve` again",
             )
 
-    def _made(self, choices: PlanChoices) -> GraspPlanner:
+    def _planner(self, choices: PlanChoices) -> GraspPlanner:
+        self._require_unchanged()
         clearance = choices.clearance
         options = PlanOptions(
             method=choices.method,
