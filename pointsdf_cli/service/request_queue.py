@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from typing import Any
 
 from pointsdf_cli.errors import RgraspError
@@ -20,26 +21,20 @@ class ClosingError(RgraspError):
     """The server is stopping: running work is finished, nothing else begins."""
 
 
+@dataclass(eq=False)
 class Job:
     """A place in the queue; its work may be submitted later.
 
     Attributes:
         future: Result or error of the work.
+        work: The work; None before it is submitted, and when it is done.
+        cancelled: Whether it was cancelled: work that waits is not begun, running work stops where
+            it can.
     """
 
-    def __init__(self) -> None:
-        self.future: Future[Any] = Future()
-        self._cancelled = threading.Event()
-        self.work: Callable[[], Any] | None = None
-
-    def cancel(self) -> None:
-        """Cancel: work that waits is not begun, running work stops where it can."""
-        self._cancelled.set()
-
-    @property
-    def cancelled(self) -> bool:
-        """Whether it was cancelled."""
-        return self._cancelled.is_set()
+    future: Future[Any] = field(default_factory=Future)
+    work: Callable[[], Any] | None = None
+    cancelled: bool = False
 
 
 class RequestQueue:
@@ -107,7 +102,7 @@ class RequestQueue:
 
     def leave(self, job: Job) -> None:
         """Give a place back; work that has begun stops where it can."""
-        job.cancel()
+        job.cancelled = True
         with self._changed:
             if job.work is None:
                 self._jobs.discard(job)
@@ -115,7 +110,6 @@ class RequestQueue:
                 self._ready.remove(job)
                 self._jobs.discard(job)
                 job.future.set_exception(CancelledError("cancelled"))
-            self._changed.notify_all()
 
     def close(self) -> None:
         """Begin nothing more: waiting jobs are refused, running work is finished."""
@@ -135,8 +129,7 @@ class RequestQueue:
     def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._ready and not self._closing:
-                    self._changed.wait()
+                self._changed.wait_for(lambda: self._ready or self._closing)
                 if not self._ready:
                     return
                 job = self._ready.popleft()
