@@ -26,7 +26,7 @@ plan 60 ms."""
 
 
 class Server:
-    """Listens from `start` until `stop`, or within `with`.
+    """Listens within `with`.
 
     Args:
         resident: Answers.
@@ -73,18 +73,6 @@ class Server:
         )
 
     def __enter__(self) -> Server:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    @property
-    def url(self) -> str:
-        """Its address."""
-        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
-
-    def start(self) -> None:
         """Listen.
 
         Raises:
@@ -95,6 +83,20 @@ class Server:
             if not self._thread.is_alive():
                 raise RgraspError("the server did not start")
             time.sleep(0.01)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Finish running work, refuse waiting requests, and end."""
+        self.queue.close()
+        self._server.should_exit = True
+        self._thread.join()
+        self.queue.join()
+        self._socket.close()
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
     def _after_request(self) -> None:
         self._answered += 1
@@ -105,15 +107,6 @@ class Server:
         """Serve until `stopped` or until the server ended by itself."""
         while self._thread.is_alive() and not stopped():
             time.sleep(0.1)
-
-    def stop(self) -> None:
-        """Finish running work, refuse waiting requests, and end."""
-        self.queue.close()
-        self._server.should_exit = True
-        if self._thread.ident is not None:
-            self._thread.join()
-        self.queue.join()
-        self._socket.close()
 
 
 def _listening(host: str, port: int) -> socket.socket:
