@@ -25,7 +25,6 @@ from pointsdf_cli.service.bodies import (
     MeshBody,
     PlanBody,
     ScoreBody,
-    parts_of,
     read_body,
     schema_of,
 )
@@ -88,6 +87,8 @@ def make_app(
             "done": queue.done,
         }
 
+    parts: dict[str, Any] = {}
+
     def offer(
         path: str, kind: type[AnyBody], answer: Callable[[Resident, AnyBody, str], Answer]
     ) -> None:
@@ -100,7 +101,9 @@ def make_app(
             return await _answered(request, queue, work, largest)
 
         ask.__doc__ = answer.__doc__
-        app.post(path, name=path.strip("/"), openapi_extra=schema_of(kind))(ask)
+        schema, its_parts = schema_of(kind)
+        parts.update(its_parts)
+        app.post(path, name=path.strip("/"), openapi_extra=schema)(ask)
 
     offer("/plan", PlanBody, plan_answer)
     offer("/mesh", MeshBody, mesh_answer)
@@ -109,9 +112,7 @@ def make_app(
 
     def openapi() -> dict[str, Any]:
         schema = described()
-        parts = schema.setdefault("components", {}).setdefault("schemas", {})
-        for kind in (PlanBody, MeshBody, ScoreBody):
-            parts.update(parts_of(kind))
+        schema.setdefault("components", {}).setdefault("schemas", {}).update(parts)
         return schema
 
     app.openapi = openapi  # type: ignore[method-assign]
@@ -126,10 +127,7 @@ class Gate:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        refused = self._refusal(scope)
+        refused = self._refusal(scope) if scope["type"] == "http" else None
         if refused is None:
             await self._app(scope, receive, send)
         else:
@@ -267,12 +265,6 @@ def _form(request: Request) -> str:
 def _error_response(
     error: RgraspError, code: int, headers: dict[str, str] | None = None
 ) -> Response:
-    told = {
-        "what": error.what,
-        "where": error.where,
-        "allowed": error.allowed,
-        "hint": error.hint,
-        "exit_code": error.exit_code,
-        "message": error.message,
-    }
+    parts = ("what", "where", "allowed", "hint", "exit_code", "message")
+    told = {name: getattr(error, name) for name in parts}
     return Response(json.dumps({"error": told}), code, headers, JSON)

@@ -210,19 +210,10 @@ def read_body(kind: type[AnyBody], data: bytes, content_type: str) -> AnyBody:
         ) from error
 
 
-def schema_of(kind: type[Body]) -> dict[str, Any]:
-    """OpenAPI description of a body."""
-    binary = {"type": "string", "format": "binary"}
-    content = {JSON: {"schema": _schema(kind)}, NPZ: {"schema": binary}}
-    return {"requestBody": {"required": True, "content": content}}
-
-
-def parts_of(kind: type[Body]) -> dict[str, Any]:
-    """The schemas that the one of a body refers to, by name."""
-    return dict(_schema(kind, parts=True))
-
-
-def _schema(kind: type[Body], parts: bool = False) -> dict[str, Any]:
+def schema_of(kind: type[Body]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """OpenAPI description of a body, and the schemas that it refers to, by name."""
     schema = kind.model_json_schema(ref_template="#/components/schemas/{model}")
-    inner = schema.pop("$defs", {})
-    return dict(inner if parts else schema)
+    parts = schema.pop("$defs", {})
+    binary = {"type": "string", "format": "binary"}
+    content = {JSON: {"schema": schema}, NPZ: {"schema": binary}}
+    return {"requestBody": {"required": True, "content": content}}, parts
