@@ -90,7 +90,7 @@ def segment_table(
     low, index, height = index[~above], index[above], height[above]
     if not len(index):
         return TableObjects(label, plane)
-    own, counts = clusters(points[index], GAP)
+    own, _ = clusters(points[index], GAP)
     bowls: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if plane is not None:
         own, floor = whole_bowls(points[index], own, points[low], camera)
@@ -100,15 +100,11 @@ def segment_table(
         index = np.concatenate([index, low[is_floor]])
         height = np.concatenate([height, points[low[is_floor]] @ plane[:3] - plane[3]])
         own = np.concatenate([own, floor[is_floor]])
-        counts = np.bincount(own, minlength=len(counts))
-        flat = _flat(height, own, counts)
+        flat = _flat(height, own)
         label[index[flat]] = TABLE
         index, height, own = index[~flat], height[~flat], own[~flat]
-        counts = np.bincount(own, minlength=len(counts))
-        if not len(index):
-            return TableObjects(label, plane)
-    own = _bridged(points[index], height, own, counts, plane is not None)
-    big = np.flatnonzero(np.bincount(own, minlength=len(counts)) >= FEWEST)
+        own = _bridged(points[index], height, own)
+    big = np.flatnonzero(np.bincount(own) >= FEWEST)
     label[index] = LOOSE
     unsplit: set[int] = set()
     count = 0
@@ -171,23 +167,15 @@ def add_masked_object(mask: NDArray[np.bool_], found: TableObjects) -> TableObje
     return TableObjects(label, found.plane)
 
 
-def _flat(height: Array, group: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _flat(height: Array, group: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Mask of the points [N] of groups no higher than the table's unevenness."""
-    high = np.zeros(len(counts), dtype=np.int64)
-    np.add.at(high, group, height > FLATTEST)
-    return high[group] < 0.02 * counts[group]
+    high = np.bincount(group, weights=height > FLATTEST)
+    return high[group] < 0.02 * np.bincount(group)[group]
 
 
-def _bridged(
-    points: Array,
-    height: Array,
-    label: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    on_table: bool,
-) -> NDArray[np.int64]:
+def _bridged(points: Array, height: Array, label: NDArray[np.int64]) -> NDArray[np.int64]:
     """Labels [N] with floating parts assigned to the nearest object, if it is near."""
-    if not on_table or len(counts) == 1:
-        return label
+    counts = np.bincount(label)
     lowest = np.full(len(counts), np.inf)
     np.minimum.at(lowest, label, height)
     few = FEWEST // 5
