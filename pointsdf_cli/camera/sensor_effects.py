@@ -206,13 +206,10 @@ def averaged(inverse: Image, radius: float, relative: float) -> Image:
 def _dilated(values: NDArray[Any]) -> NDArray[Any]:
     """Maximum over each pixel and its four neighbours."""
     found = values.copy()
-    for to, of in (
-        (np.s_[1:], np.s_[:-1]),
-        (np.s_[:-1], np.s_[1:]),
-        (np.s_[:, 1:], np.s_[:, :-1]),
-        (np.s_[:, :-1], np.s_[:, 1:]),
-    ):
-        np.maximum(found[to], values[of], out=found[to])
+    for axis in (0, 1):
+        into, of = found.swapaxes(0, axis), values.swapaxes(0, axis)
+        np.maximum(into[1:], of[:-1], out=into[1:])
+        np.maximum(into[:-1], of[1:], out=into[:-1])
     return found
 
 
