@@ -121,15 +121,15 @@ def calibrate_hand_eye(
             "and better 30°",
             hint="tilt the gripper to all sides between the images",
         )
-    alone = [board_pose(view, corners, camera) for view in views]
+    alone = np.stack([board_pose(view, corners, camera) for view in views])
     fixed_moving = T_base_gripper if eye_in_hand else invert_transform(T_base_gripper)
     seen = _Observations(
         fixed_moving, camera, [corners[view.ids] for view in views], [v.pixels for v in views]
     )
-    poses, used = _fit(seen, np.stack(alone), np.random.default_rng(0))
+    poses, used = _fit(seen, alone)
     rms = seen.rms(poses)
     if np.median(rms) > LARGEST_ERROR or used.sum() < FEWEST_IMAGES:
-        raise _does_not_fit(seen, np.stack(alone), float(np.median(rms)), int(used.sum()))
+        raise _does_not_fit(seen, alone, float(np.median(rms)), int(used.sum()))
     position, rotation = _standard_deviations(seen, poses, np.flatnonzero(used).tolist())
     placed = invert_transform(fixed_moving @ poses.X) @ poses.Z
     refined = np.stack(
@@ -176,12 +176,10 @@ def board_pose(
     )
 
 
-def _fit(
-    seen: _Observations, alone: Array, rng: np.random.Generator
-) -> tuple[HandEyePoses, NDArray[np.bool_]]:
+def _fit(seen: _Observations, alone: Array) -> tuple[HandEyePoses, NDArray[np.bool_]]:
     """X and Z, and which images they were fitted to."""
-    poses, count = _start(seen, alone, rng), len(alone)
-    used = _agreeing(seen.rms(poses), np.ones(count, bool))
+    poses = _start(seen, alone)
+    used = _agreeing(seen.rms(poses), np.ones(len(alone), bool))
     for _ in range(4):
         poses = _refine(seen, poses, np.flatnonzero(used).tolist())
         now = _agreeing(seen.rms(poses), used)
@@ -191,9 +189,9 @@ def _fit(
     return poses, used
 
 
-def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandEyePoses:
+def _start(seen: _Observations, alone: Array) -> HandEyePoses:
     """The closed form of all images or of three, whichever has the least median error."""
-    count = len(alone)
+    count, rng = len(alone), np.random.default_rng(0)
     subsets = [np.arange(count)] + [rng.choice(count, 3, replace=False) for _ in range(SUBSETS)]
     tried: list[tuple[float, int, HandEyePoses]] = []
     for subset in subsets:
@@ -262,7 +260,7 @@ def _does_not_fit(seen: _Observations, alone: Array, error: float, fitting: int)
     inverted = _Observations(
         invert_transform(seen.T_fixed_moving), seen.camera, seen.corners, seen.pixels
     )
-    other = float(np.median(inverted.rms(_start(inverted, alone, np.random.default_rng(0)))))
+    other = float(np.median(inverted.rms(_start(inverted, alone))))
     if other < min(LARGEST_ERROR, 0.2 * error):
         hint = (
             f"they do ({other:.2g} px) with the other arrangement (--eye-in-hand: camera on the "
