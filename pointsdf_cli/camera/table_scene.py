@@ -237,9 +237,7 @@ def _compose(
     label = np.where(np.isfinite(depth), OBJECT, NOTHING).astype(np.uint8)
     object_alone = label == OBJECT
     columns, rows = np.arange(bounds[0], bounds[1]), np.arange(bounds[2], bounds[3])
-    rays = np.ones((*depth.shape, 3))
-    rays[..., 0] = (columns - camera.cx) / camera.fx
-    rays[..., 1] = ((rows - camera.cy) / camera.fy)[:, None]
+    rays = camera.back_project(columns, rows[:, None], 1.0)
     length = _length(rays)
 
     plane = None
