@@ -83,7 +83,6 @@ def cloud_of_bag(
         raise InputError(
             "--info-topic with --intrinsics", where=path, hint="leave one of the two out"
         )
-    said = []
     with open_bag(path) as bag:
         topic = bag.depth_topic(options.topic)
         frames = bag.depth_frames(topic, options.index, options.time, options.frames)
@@ -92,8 +91,7 @@ def cloud_of_bag(
             camera = _camera(bag, frames, options.info_topic)
         else:
             camera = read_intrinsics(intrinsics, width, height)
-        pose, told = _pose(bag, frames, options.world_frame)
-    said += told
+        pose, said = _pose(bag, frames, options.world_frame)
     if options.frames == 1:
         depth = frames.depths[0].astype(np.float64)
     else:
