@@ -19,8 +19,9 @@ from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.plans import read_plan
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.mesh_choices import MeshChoices
+from pointsdf_cli.planning.object_view import MeshSettings
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
-from pointsdf_cli.service.each_mesh import MeshSettings, MeshTask
+from pointsdf_cli.service.each_mesh import MeshTask
 from pointsdf_cli.service.each_plan import PlanTask
 from pointsdf_cli.service.identity import PlannerFiles
 from pointsdf_cli.service.plan_settings import PlanSettings

@@ -121,9 +121,10 @@ def mesh(
     from pointsdf_cli.io.each_file import check_each, require_one_name_each
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
     from pointsdf_cli.planning.mesh_choices import MeshChoices
+    from pointsdf_cli.planning.object_view import MeshSettings
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
-    from pointsdf_cli.service.each_mesh import MeshSettings, MeshTask, mesh_cloud
+    from pointsdf_cli.service.each_mesh import MeshTask, mesh_cloud
 
     reporter = common.Reporter(quiet, as_json)
     # A wrong resolution is known before anything is read.

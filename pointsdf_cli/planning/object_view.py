@@ -16,6 +16,7 @@ from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.segmentation import SegmentationConfig
+    from pointsdf_cli.planning.mesh_choices import MeshChoices
     from pointsdf_cli.planning.object_choice import TargetChoice
     from pointsdf_cli.robot.description import RobotDescription
 
@@ -54,45 +55,67 @@ def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:
     return is_depth_image(path, files.intrinsics) and (pose is not None or files.mask is None)
 
 
-def object_view(
-    path: Path,
-    files: SceneFileOptions,
-    pose: str | None,
-    segment: str | None,
-    target: str | None,
-    robot: Path | None,
-    workspace: str | None,
-    cleaned: bool,
-    start: str | Array | None = None,
-) -> ObjectView:
-    """Points of the object, from a cloud of it alone or from a view of a table.
+@dataclass(frozen=True)
+class MeshSettings:
+    """Settings of meshes, apart from a cloud's own files.
 
-    Args:
-        path, files, pose, target, robot, cleaned, start: As in `segmented_view`.
+    Attributes:
+        choices: Meshing options.
         segment: --segment as typed; chosen by `is_scene` if None.
-        workspace: --workspace as typed.
-
-    Raises:
-        InputError: There is no object or no pose, or an option is invalid.
+        target, workspace: As typed.
+        cleaned: Whether flying pixels, outliers and specks are dropped.
+        robot, checkpoint: Files; the bundled ones if None.
+        device: Device of the network.
+        start: Configuration [J] of the robot; its home if None.
     """
-    if segment is None:
-        segment = "auto" if is_scene(path, files, pose) else "none"
-    if segment == "none":
-        typed = {
-            "--target": target, "--robot": robot, "--start": start, "--workspace": workspace
-        }  # fmt: skip
-        for option, given in typed.items():
-            if given is not None:
-                raise InputError(f"{option} without --segment auto", hint="add --segment auto")
-        return bare_view(path, files, pose, cleaned)
-    corners = None if workspace is None else box(workspace, "--workspace")
-    if pose is None and is_depth_image(path, files.intrinsics):
+
+    choices: MeshChoices
+    segment: str | None = None
+    target: str | None = None
+    workspace: str | None = None
+    cleaned: bool = True
+    robot: Path | None = None
+    checkpoint: Path | None = None
+    device: str = "cpu"
+    start: Array | None = None
+
+    def view(self, path: Path, files: SceneFileOptions, pose: str | None) -> ObjectView:
+        """Points of the object, from a cloud of it alone or from a view of a table.
+
+        Args:
+            path, files, pose: As in `segmented_view`.
+
+        Raises:
+            InputError: There is no object or no pose, or an option is invalid.
+        """
+        segment = self.segment
+        if segment is None:
+            segment = "auto" if is_scene(path, files, pose) else "none"
+        if segment == "none":
+            for option in ("target", "robot", "start", "workspace"):
+                if getattr(self, option) is not None:
+                    raise InputError(
+                        f"--{option} without --segment auto", hint="add --segment auto"
+                    )
+            return bare_view(path, files, pose, self.cleaned)
+        corners = None if self.workspace is None else box(self.workspace, "--workspace")
+        # The object is wanted in the camera's frame: where the robot is does not matter.
+        over_table = pose is None and is_depth_image(path, files.intrinsics)
+        seen = segmented_view(
+            path,
+            files,
+            "table" if over_table else pose,
+            self.target,
+            self.robot,
+            corners,
+            self.cleaned,
+            self.start,
+        )
+        if not over_table:
+            return seen
         from pointsdf_cli.planning.scene_input import FROM_TABLE
 
-        # The object is wanted in the camera's frame: where the robot is does not matter.
-        seen = segmented_view(path, files, "table", target, robot, corners, cleaned, start)
         return replace(seen, said=tuple(one for one in seen.said if FROM_TABLE not in one))
-    return segmented_view(path, files, pose, target, robot, corners, cleaned, start)
 
 
 def bare_view(

@@ -8,54 +8,14 @@ from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.each_file import is_done
 from pointsdf_cli.io.meshes import UNITS, save_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.strict_json import plain, to_json
-from pointsdf_cli.planning.mesh_choices import MeshChoices
-from pointsdf_cli.planning.object_view import ObjectView, object_view
+from pointsdf_cli.planning.object_view import MeshSettings
 from pointsdf_cli.service.identity import PlannerFiles, bundled_digest, weights_digest
-
-
-@dataclass(frozen=True)
-class MeshSettings:
-    """Settings of meshes, apart from a cloud's own files.
-
-    Attributes:
-        choices: Meshing options.
-        segment, target, workspace: As typed.
-        cleaned: Whether flying pixels, outliers and specks are dropped.
-        robot, checkpoint: Files; the bundled ones if None.
-        device: Device of the network.
-        start: Configuration [J] of the robot; its home if None.
-    """
-
-    choices: MeshChoices
-    segment: str | None = None
-    target: str | None = None
-    workspace: str | None = None
-    cleaned: bool = True
-    robot: Path | None = None
-    checkpoint: Path | None = None
-    device: str = "cpu"
-    start: Array | None = None
-
-    def view(self, cloud: Path, files: SceneFileOptions, pose: str | None) -> ObjectView:
-        """The object in a cloud, as `object_view` finds it."""
-        return object_view(
-            cloud,
-            files,
-            pose,
-            self.segment,
-            self.target,
-            self.robot,
-            self.workspace,
-            self.cleaned,
-            self.start,
-        )
 
 
 @dataclass(frozen=True)
