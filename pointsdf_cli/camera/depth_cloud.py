@@ -32,31 +32,9 @@ def cloud_of_depth(
         nearest, farthest: Range of valid depths [m].
 
     Raises:
-        InputError: The sizes differ, or no pixel has a depth within the limits.
+        InputError: The sizes differ, the limits are in the wrong order, or no pixel has a depth
+            within them.
     """
-    _check(depth, camera, colours, nearest, farthest)
-    v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
-    if not len(v):
-        raise _nothing_seen(depth, nearest, farthest)
-    return Cloud(
-        points=camera.back_project(u, v, depth[v, u]),
-        colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
-        frame="camera",
-        T_world_camera=T_world_camera,
-        pixels=np.stack([u, v], axis=1).astype(np.float64),
-        image=DepthImage(depth, camera.K),
-        notes=_off_centre(camera),
-    )
-
-
-def _check(
-    depth: NDArray[np.float64],
-    camera: Camera,
-    colours: NDArray[np.uint8] | None,
-    nearest: float,
-    farthest: float,
-) -> None:
-    """Refuse limits in the wrong order and images of different sizes."""
     if not 0 <= nearest < farthest:
         what = f"depths from {nearest} to {farthest} m"
         raise InputError(what, where="--near, --far", allowed="0 or more, the nearer one first")
@@ -71,6 +49,18 @@ def _check(
             where="--color",
             allowed="a colour image registered to the depth image, pixel by pixel",
         )
+    v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
+    if not len(v):
+        raise _nothing_seen(depth, nearest, farthest)
+    return Cloud(
+        points=camera.back_project(u, v, depth[v, u]),
+        colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
+        frame="camera",
+        T_world_camera=T_world_camera,
+        pixels=np.stack([u, v], axis=1).astype(np.float64),
+        image=DepthImage(depth, camera.K),
+        notes=_off_centre(camera),
+    )
 
 
 def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -> InputError:
