@@ -11,6 +11,7 @@ import numpy as np
 
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.untrusted import read_json, read_yaml
 
 FORMS = (
@@ -84,18 +85,15 @@ def _read(
         _check_size(camera.width, camera.height, *size, name, image)
         return camera, {}
     data, path = _load(name), Path(name)
-    if isinstance(data, Mapping):
-        # A single dimension, or the names of ROS calibration, also tell another image size.
-        mine, mine_high = (
-            next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
-            for names, own in ((_WIDTH, width), (_HEIGHT, height))
-        )
-        width, height = width or mine, height or mine_high
-        if width and height:
-            _check_size(mine or width, mine_high or height, width, height, path, image)
-        fx, fy, cx, cy = _numbers(data, path)
-    else:
-        fx, fy, cx, cy = _of_matrix(data, False, path)
+    # A single dimension, or the names of ROS calibration, also tell another image size.
+    mine, mine_high = (
+        next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
+        for names, own in ((_WIDTH, width), (_HEIGHT, height))
+    )
+    width, height = width or mine, height or mine_high
+    if width and height:
+        _check_size(mine or width, mine_high or height, width, height, path, image)
+    fx, fy, cx, cy = _numbers(data, path)
     if not np.isfinite([fx, fy, cx, cy]).all():
         raise InputError("fx, fy and the principal point are not finite", where=path, allowed=FORMS)
     width, height = width or max(1, round(2 * cx)), height or max(1, round(2 * cy))
@@ -109,11 +107,11 @@ def _read(
             where=path,
             allowed="intrinsics of this image: those of its own size and crop, in pixels",
         )
-    return camera, data if isinstance(data, Mapping) else {}
+    return camera, data
 
 
-def _load(name: str) -> Any:
-    """Contents of a file; nested settings are merged, and inner ones win."""
+def _load(name: str) -> Mapping[str, Any]:
+    """Contents of a file; nested settings are merged, and inner ones win. A matrix alone is K."""
     path = Path(name)
     if not os.path.isfile(name):  # unlike Path's, it takes a matrix that was typed
         raise InputError("no such intrinsics", where=name[:200], allowed=FORMS)
@@ -122,7 +120,11 @@ def _load(name: str) -> Any:
     else:
         # `ros2 topic echo` ends each message by `---`, and YAML begins another document there.
         data = read_yaml(path, first_document=True)
-    if isinstance(data, Mapping) and not _has_intrinsics(data):
+    if not isinstance(data, Mapping):
+        if _entries(data) is None:
+            raise InputError("holds no 3×3 matrix", where=path, allowed=FORMS)
+        return {"K": data}
+    if not _has_intrinsics(data):
         inner = [data[key] for key in _NESTED if isinstance(data.get(key), Mapping)]
         if len(inner) == 1:
             return {**data, **inner[0]}
@@ -145,9 +147,10 @@ def _numbers(data: Mapping[str, Any], path: Path) -> tuple[float, float, float, 
             ) from error
         return fx, fy, cx, cy
     for key in _MATRIX:
-        if _entries(data.get(key)) is not None:
+        entries = _entries(data.get(key))
+        if entries is not None:
             # Open3D alone writes columns first.
-            return _of_matrix(data[key], key == "intrinsic_matrix", path)
+            return _of_matrix(entries.reshape(3, 3), key == "intrinsic_matrix", path)
     what = f"has no intrinsics, only {', '.join(map(str, data)) or 'nothing'}"
     raise InputError(what, where=path, allowed=FORMS)
 
@@ -163,11 +166,7 @@ def _entries(value: Any) -> np.ndarray | None:
     return matrix if matrix.size == 9 else None
 
 
-def _of_matrix(value: Any, by_columns: bool, path: Path) -> tuple[float, float, float, float]:
-    entries = _entries(value)
-    if entries is None:
-        raise InputError("holds no 3×3 matrix", where=path, allowed=FORMS)
-    matrix = entries.reshape(3, 3)
+def _of_matrix(matrix: Array, by_columns: bool, path: Path) -> tuple[float, float, float, float]:
     if by_columns and np.abs(matrix[:2, 2]).max() == 0:
         matrix = matrix.T
     rest = matrix.copy()
