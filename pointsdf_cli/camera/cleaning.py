@@ -95,9 +95,7 @@ def clean(points: ArrayLike, specks: bool = True) -> Cleaning:
     pitch = _typical(distance[:, -1])
     isolated = distance[:, -1] > ISOLATION * pitch
     kept = ~isolated
-    flying = 0
-    if seen_from_camera:
-        flying = _count_flying(even, isolated, ISOLATION * pitch)
+    flying = _count_flying(even, isolated, ISOLATION * pitch) if seen_from_camera else 0
     outliers = int(isolated.sum()) - flying
     dropped = np.zeros(len(points), dtype=bool)
     if specks:
