@@ -137,6 +137,7 @@ class RequestQueue:
             with self._changed:
                 self._jobs.discard(job)
                 self.done += 1
+            self._after()
 
     def _do(self, job: Job) -> None:
         assert job.work is not None
@@ -150,4 +151,3 @@ class RequestQueue:
         else:
             job.future.set_result(outcome)
         job.work = None
-        self._after()

@@ -53,7 +53,6 @@ class Server:
     ) -> None:
         self._socket = _listening(host, port)
         self.host, self.port = host, int(self._socket.getsockname()[1])
-        self._answered = 0
         self.queue = RequestQueue(places, self._after_request)
         app: Any = make_app(resident, self.queue, host, token, largest)
         self._server = uvicorn.Server(
@@ -99,8 +98,7 @@ class Server:
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
     def _after_request(self) -> None:
-        self._answered += 1
-        if self._answered % TRIMMED == 0:
+        if self.queue.done % TRIMMED == 0:
             return_freed_memory()
 
     def wait(self, stopped: Callable[[], bool]) -> None:
