@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request, Response
 from fastapi_offline import FastAPIOffline
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 
 from pointsdf_cli import __version__
@@ -135,9 +136,9 @@ class Gate:
             await _error_response(error, code)(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> tuple[int, RgraspError] | None:
-        headers: list[tuple[bytes, bytes]] = scope["headers"]
+        headers = Headers(scope=scope)
         if self._token is not None:
-            given = next((value for name, value in headers if name == b"authorization"), b"")
+            given = headers.get("authorization", "").encode("latin-1")
             known = hmac.compare_digest(given, b"Bearer " + self._token.encode())
             if known or scope["path"] == "/health":
                 return None
@@ -147,8 +148,7 @@ class Gate:
                 allowed="Bearer TOKEN",
                 hint="set RGRASP_TOKEN to the server's token",
             )
-        origins = [value.decode("latin-1") for name, value in headers if name == b"origin"]
-        asked = next((value.decode("latin-1") for name, value in headers if name == b"host"), "")
+        origins, asked = headers.getlist("origin"), headers.get("host", "")
         # Without an Origin header the Host header still reveals DNS rebinding.
         page = origins[0] if origins else f"http://{asked}"
         if len(origins) < 2 and may_connect(page, asked, self._host):
