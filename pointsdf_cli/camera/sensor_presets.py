@@ -8,7 +8,7 @@ from typing import Any
 
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.sensor import DepthSensor
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.choices import Sensor, require_choice
 
 SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
     {
@@ -92,6 +92,5 @@ def load_sensor(name: str) -> DepthSensor:
     Raises:
         InputError: There is no preset of this name.
     """
-    if name not in SENSORS:
-        raise InputError(f"no sensor {name!r}", where="--sensor", allowed=", ".join(SENSORS))
+    require_choice(name, Sensor, "--sensor")
     return SENSORS[name]
