@@ -109,7 +109,6 @@ class SceneViews:
     ) -> None:
         self._camera, self._config = camera, config or SceneViewConfig()
         self._sensors = [load_sensor(name) for name in self._config.sensors]
-        self._ideal = load_sensor("ideal")
         scene = self._config.scene
         self._alone = replace(scene, neighbours=0, resting=self._config.exact_resting)
         self._vertices = mesh.vertices
@@ -131,7 +130,7 @@ class SceneViews:
             if _hidden(scene) > MOST_HIDDEN:
                 continue
             drawn = self._sensors[rng.integers(len(self._sensors))]
-            sensor = self._ideal if exact else self._varied(drawn, rng)
+            sensor = load_sensor("ideal") if exact else self._varied(drawn, rng)
             window = scene.window
             measured = sensor.observe(window.depth, camera, rng, window.origin, window.cosine)
             seen = segment_scene(scene, measured, camera, errors, rng)

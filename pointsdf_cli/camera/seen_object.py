@@ -17,12 +17,7 @@ from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.table_scene import OBJECT, OTHER, RenderedScene
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.visibility import (
-    PLANE_BAND,
-    ViewEvidence,
-    VisibilityImage,
-    visibility_image,
-)
+from pointsdf_cli.geometry.visibility import PLANE_BAND, ViewEvidence, visibility_image
 
 
 @dataclass(frozen=True)
@@ -84,9 +79,7 @@ class SeenObject:
 
     def evidence(self, pitch: float) -> ViewEvidence:
         """Observed space besides the points; `pitch` as in `visibility_image`."""
-        image: VisibilityImage = visibility_image(
-            self.points, self.others, self.support_plane, pitch, self.rays
-        )
+        image = visibility_image(self.points, self.others, self.support_plane, pitch, self.rays)
         return ViewEvidence(image, self.support_plane)
 
 
