@@ -78,11 +78,10 @@ def require_expected(resident: Resident, body: SceneBody) -> None:
     own = resident.identity()
     for name, wanted in body.expects.model_dump().items():
         if wanted is not None and wanted != own[name]:
-            shown = {name: value[:12] for name, value in (("wanted", wanted), ("own", own[name]))}
             option = name.replace("_", "-")
             raise InputError(
-                f"the server has another {name.replace('_', ' ')} ({shown['own']}, not "
-                f"{shown['wanted']})",
+                f"the server has another {name.replace('_', ' ')} ({own[name][:12]}, not "
+                f"{wanted[:12]})",
                 where="--server",
                 hint=f"start `rgrasp serve` with the same --{option}"
                 if name != "version"

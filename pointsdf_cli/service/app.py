@@ -13,6 +13,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi_offline import FastAPIOffline
 from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from pointsdf_cli import __version__
 from pointsdf_cli.errors import EmptyResultError, InputError, RgraspError
@@ -42,10 +43,6 @@ SLOWEST_BODY = 60.0
 """Time limit for receiving a body [s]; it holds a place in the queue meanwhile."""
 
 Answer = tuple[bytes, str]
-Scope = Any
-Receive = Callable[[], Awaitable[Any]]
-Send = Callable[[Any], Awaitable[None]]
-ASGIApp = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 
 class TooLargeError(InputError):

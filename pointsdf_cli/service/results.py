@@ -36,10 +36,8 @@ def result_of(tree: Any) -> PlanResult:
     try:
         plan = dict(tree["plan"])
         rejected, accepted = dict(plan["rejected"]), dict(plan["accepted"])
-        rejected["reasons"], accepted["kinds"] = (
-            tuple(rejected["reasons"]),
-            tuple(accepted["kinds"]),
-        )
+        rejected["reasons"] = tuple(rejected["reasons"])
+        accepted["kinds"] = tuple(accepted["kinds"])
         plan |= {name: tuple(plan[name]) for name in ("joint_names", "link_names")}
         plan |= {"rejected": RejectedSeeds(**rejected), "accepted": AcceptedGrasps(**accepted)}
         obstacles = tuple(
