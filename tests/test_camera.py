@@ -64,7 +64,7 @@ def test_the_window_misses_nothing_that_the_whole_image_sees() -> None:
     rotation *= np.linalg.det(rotation)
     pose = transform(rotation, [0.3, -0.25, 1.0])  # off centre, towards a corner
     windowed = caster.cast(pose)
-    caster._window = lambda _: (0, 640, 0, 480)
+    caster.window_around = lambda _: (0, 640, 0, 480)
     whole = caster.cast(pose)
     np.testing.assert_array_equal(
         depth_image(windowed, REFERENCE) > 0, depth_image(whole, REFERENCE) > 0

@@ -75,12 +75,12 @@ class MeshCaster:
 
     def cast(self, T_camera_object: NDArray[np.float64]) -> DepthPatch:
         """Exact depths of the mesh at the pose `T_camera_object` [4, 4] in the camera's frame."""
-        left, right, top, bottom = self._window(T_camera_object)
-        hits, _ = self._cast(T_camera_object, (left, right, top, bottom))
+        window = self.window_around(T_camera_object)
+        hits, _ = self._cast(T_camera_object, window)
         depth = hits["t_hit"].numpy()
         v, u = np.nonzero(np.isfinite(depth))
         area = self._camera.width * self._camera.height
-        return DepthPatch(u + left, v + top, depth[v, u], len(u) / area)
+        return DepthPatch(u + window[0], v + window[2], depth[v, u], len(u) / area)
 
     def cast_window(
         self,
@@ -106,16 +106,24 @@ class MeshCaster:
         return DepthWindow((window[0], window[2]), depth, cosine.astype(np.float32))
 
     def window_around(
-        self, T_camera_object: NDArray[np.float64], margin: float
+        self, T_camera_object: NDArray[np.float64], margin: float = 0.0
     ) -> tuple[int, int, int, int]:
-        """Columns [left, right) and rows [top, bottom) around the mesh, within the image."""
-        left, right, top, bottom = self._window(T_camera_object)
+        """Columns [left, right) and rows [top, bottom) that can see the mesh's bounding box, grown
+        by `margin` times its longer side, within the image."""
+        width, height = self._camera.width, self._camera.height
+        corners = apply_transform(T_camera_object, self._box)
+        if corners[:, 2].min() < _BEHIND:
+            return 0, width, 0, height
+        pixels = self._camera.project(corners)
+        low, high = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0)) + 1
+        left, top = np.clip(low, 0, [width - 1, height - 1]).astype(int).tolist()
+        right, bottom = np.clip(high, 1, [width, height]).astype(int).tolist()
         more = round(margin * max(right - left, bottom - top))
         return (
             max(0, left - more),
-            min(self._camera.width, right + more),
+            min(width, right + more),
             max(0, top - more),
-            min(self._camera.height, bottom + more),
+            min(height, bottom + more),
         )
 
     def _cast(
@@ -134,21 +142,6 @@ class MeshCaster:
         for k in range(3):  # one by one: sums of many short rows take three times as long
             rays[..., 3 + k] = x[:, k] + y[:, None, k] + rotation[2, k]
         return self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), THREADS), rays
-
-    def _window(self, T_camera_object: NDArray[np.float64]) -> tuple[int, int, int, int]:
-        """Columns [left, right) and rows [top, bottom) that can see the mesh's bounding box."""
-        camera = self._camera
-        corners = apply_transform(T_camera_object, self._box)
-        if corners[:, 2].min() < _BEHIND:
-            return 0, camera.width, 0, camera.height
-        pixels = camera.project(corners)
-        (left, top), (right, bottom) = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
-        return (
-            int(np.clip(left, 0, camera.width - 1)),
-            int(np.clip(right + 1, 1, camera.width)),
-            int(np.clip(top, 0, camera.height - 1)),
-            int(np.clip(bottom + 1, 1, camera.height)),
-        )
 
 
 def depth_window(patch: DepthPatch, margin: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
