@@ -16,9 +16,14 @@ Points = Sequence[Vector] | np.ndarray
 
 def polygon(points: Points) -> CrossSection:
     """The region inside a closed polygon [N, 2], whichever way it is wound."""
-    x, y = np.asarray(points, dtype=float).T
-    clockwise = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0
-    return CrossSection([np.column_stack([x, y])[:: -1 if clockwise else 1]])
+    outline = np.asarray(points, dtype=float)
+    return CrossSection([outline[::-1] if signed_area(outline) < 0 else outline])
+
+
+def signed_area(outline: np.ndarray) -> float:
+    """Area in m² inside a polygon [N, 2], negative if it is wound clockwise."""
+    x, y = outline.T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2)
 
 
 def rounded(section: CrossSection, convex: float, concave: float | None = None) -> CrossSection:

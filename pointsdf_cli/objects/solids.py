@@ -10,10 +10,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh, OpType, triangulate
 
-from pointsdf_cli.objects.sections import Points, Vector, polygon, rounded
+from pointsdf_cli.objects.sections import Points, Vector, polygon, rounded, signed_area
 
 # Segments of a full turn: an 8 cm can then deviates from its circle by 0.1 mm.
 TURN_SEGMENTS = 48
+
+Extent = float | tuple[float, float] | np.ndarray
+"""Half an extent along a path of M points, m: a number, its values at both ends, or [M]."""
 
 
 def union(parts: Sequence[Manifold]) -> Manifold:
@@ -80,8 +83,8 @@ def star_solid(radius: Callable[[np.ndarray], np.ndarray], segments: int = 48) -
     return Manifold.sphere(1.0, segments).warp_batch(displace)
 
 
-def loft(rings: np.ndarray) -> Manifold:
-    """Join rings [L, N, 3] of points into a closed body; each end is closed by a fan.
+def loft(rings: np.ndarray, closed: bool = False) -> Manifold:
+    """Join rings [L, N, 3] of points into a body, the last to the first or each end to its centre.
 
     The rings run counter-clockwise seen against the direction in which they are stacked. End rings
     must be star-shaped about their mean.
@@ -89,15 +92,14 @@ def loft(rings: np.ndarray) -> Manifold:
     levels, count, _ = rings.shape
     index = np.arange(levels * count).reshape(levels, count)
     following = np.roll(index, -1, axis=1)
-    low, low_next, high, high_next = index[:-1], following[:-1], index[1:], following[1:]
-    sides = np.concatenate(
-        [np.stack([low, low_next, high_next], -1), np.stack([low, high_next, high], -1)]
-    ).reshape(-1, 3)
+    if closed:
+        around = [*range(levels), 0]
+        return _solid(rings.reshape(-1, 3), _sides(index[around], following[around]))
     bottom, top = levels * count, levels * count + 1
     fan_low = np.stack([following[0], index[0], np.full(count, bottom)], -1)
     fan_high = np.stack([index[-1], following[-1], np.full(count, top)], -1)
     vertices = np.concatenate([rings.reshape(-1, 3), [rings[0].mean(0)], [rings[-1].mean(0)]])
-    return _solid(vertices, np.concatenate([sides, fan_low, fan_high]))
+    return _solid(vertices, np.concatenate([_sides(index, following), fan_low, fan_high]))
 
 
 def loft_sections(
@@ -116,18 +118,15 @@ def loft_sections(
         exponent: n, 2 for ellipses, larger for boxier sections; a number or [L].
         corners: Points a section.
     """
-    angle = np.arange(corners) * (2 * np.pi / corners)
-    power = 2 / np.broadcast_to(np.asarray(exponent, dtype=float), z.shape)[:, None]
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x = half_x[:, None] * np.sign(cosine) * np.abs(cosine) ** power
-    y = half_y[:, None] * np.sign(sine) * np.abs(sine) ** power
-    return loft(np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=-1))
+    x, y = _superellipse(np.broadcast_to(exponent, z.shape)[:, None], corners)
+    heights = np.broadcast_to(z[:, None], x.shape)
+    return loft(np.stack([half_x[:, None] * x, half_y[:, None] * y, heights], axis=-1))
 
 
 def tube(
     path: np.ndarray,
-    half_width: float | np.ndarray,
-    half_height: float | np.ndarray | None = None,
+    half_width: Extent,
+    half_height: Extent | None = None,
     up: Vector = (0.0, 0.0, 1.0),
     corners: int = 16,
     exponent: float = 2.0,
@@ -138,8 +137,8 @@ def tube(
 
     Args:
         path: [M, 3] m, nowhere parallel to `up`, curved less tightly than the section is wide.
-        half_width: Half the section across `up`, m; a number or [M].
-        half_height: Half the section along `up`, m; as wide as high when None.
+        half_width: Half the section across `up`.
+        half_height: Half the section along `up`; as wide as high when None.
         up: The direction the section keeps upright.
         corners: Points of the section.
         exponent: 2 for ellipses, larger for boxier sections.
@@ -147,12 +146,8 @@ def tube(
         round_ends: Whether open ends are domed instead of cut flat.
     """
     count = len(path)
-    width = np.broadcast_to(np.asarray(half_width, dtype=float), (count,))
-    height = (
-        width
-        if half_height is None
-        else np.broadcast_to(np.asarray(half_height, dtype=float), (count,))
-    )
+    width = _along(half_width, count)
+    height = width if half_height is None else _along(half_height, count)
     if closed:
         tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     else:
@@ -163,14 +158,11 @@ def tube(
     side = np.cross(tangent, np.asarray(up, dtype=float))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     rise = np.cross(side, tangent)
-    angle = np.arange(corners) * (2 * np.pi / corners)
-    cosine = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** (2 / exponent)
-    sine = np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** (2 / exponent)
+    cosine, sine = _superellipse(exponent, corners)
     across = (width[:, None] * cosine)[..., None] * side[:, None]
     # side × rise = −tangent, so the angle runs backwards to keep the rings counter-clockwise.
     along = (-height[:, None] * sine)[..., None] * rise[:, None]
-    rings = path[:, None] + across + along
-    return _ring(rings) if closed else loft(rings)
+    return loft(path[:, None] + across + along, closed)
 
 
 def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Manifold:
@@ -190,28 +182,14 @@ def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Man
         steps = steps if bevel > 0 else [(0.0, 0.0)]
     rises = [rise * bevel for _, rise in steps]
     heights = rises + [thickness - rise for rise in reversed(rises)]
-    layers = [np.concatenate(inset) for inset in insets + insets[::-1]]
-    count = len(layers[0])
-    vertices = np.concatenate(
-        [
-            np.column_stack([layer, np.full(count, z)])
-            for layer, z in zip(layers, heights, strict=True)
-        ]
-    )
+    layers = np.stack([np.concatenate(inset) for inset in insets + insets[::-1]])
+    index = np.arange(layers[..., 0].size).reshape(len(layers), -1)
+    vertices = np.column_stack([layers.reshape(-1, 2), np.repeat(heights, index.shape[1])])
+    ends = np.cumsum([len(outline) for outline in outlines])
+    following = [np.roll(part, -1, axis=1) for part in np.split(index, ends, axis=1)]
     cap = np.asarray(triangulate(insets[0]))
-    following = np.concatenate(
-        [
-            start + np.roll(np.arange(len(outline)), -1)
-            for start, outline in zip(np.cumsum([0, *map(len, outlines)]), outlines, strict=False)
-        ]
-    )
-    low = np.arange(count)
-    faces = [cap[:, ::-1], cap + (len(layers) - 1) * count]
-    for level in range(len(layers) - 1):
-        base, top = level * count, (level + 1) * count
-        faces.append(np.stack([base + low, base + following, top + following], -1))
-        faces.append(np.stack([base + low, top + following, top + low], -1))
-    solid = _solid(vertices, np.concatenate(faces))
+    sides = _sides(index, np.concatenate(following, axis=1))
+    solid = _solid(vertices, np.concatenate([cap[:, ::-1], cap + index[-1, 0], sides]))
     return solid if solid.volume() > 0 else section.extrude(thickness)
 
 
@@ -229,15 +207,26 @@ def _solid(vertices: np.ndarray, faces: np.ndarray) -> Manifold:
     return Manifold(Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
 
 
-def _ring(rings: np.ndarray) -> Manifold:
-    levels, count, _ = rings.shape
-    index = np.arange(levels * count).reshape(levels, count)
-    beside, above = np.roll(index, -1, axis=1), np.roll(index, -1, axis=0)
-    across = np.roll(above, -1, axis=1)
-    faces = np.concatenate(
-        [np.stack([index, beside, across], -1), np.stack([index, across, above], -1)]
-    )
-    return _solid(rings.reshape(-1, 3), faces.reshape(-1, 3))
+def _sides(index: np.ndarray, following: np.ndarray) -> np.ndarray:
+    """Faces [F, 3] between rings of vertices [L, N]; `following` [L, N] is the next one of each."""
+    low, low_next, high, high_next = index[:-1], following[:-1], index[1:], following[1:]
+    halves = [np.stack([low, low_next, high_next], -1), np.stack([low, high_next, high], -1)]
+    return np.concatenate(halves).reshape(-1, 3)
+
+
+def _superellipse(exponent: float | np.ndarray, corners: int) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the unit superellipse, [corners] each, or [L, corners] for exponents [L, 1]."""
+    angle = np.arange(corners) * (2 * np.pi / corners)
+    power = 2 / np.asarray(exponent, dtype=float)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.sign(cosine) * np.abs(cosine) ** power, np.sign(sine) * np.abs(sine) ** power
+
+
+def _along(extent: Extent, count: int) -> np.ndarray:
+    """The extent at each of `count` points."""
+    if isinstance(extent, tuple):
+        return np.linspace(*extent, count)
+    return np.broadcast_to(np.asarray(extent, dtype=float), (count,))
 
 
 def _dome_ends(
@@ -281,10 +270,5 @@ def _same_turns(outlines: Sequence[np.ndarray], insets: Sequence[np.ndarray]) ->
             return False
     simple = CrossSection(list(insets))
     return simple.num_contour() == len(outlines) and bool(
-        np.isclose(simple.area(), sum(map(_signed_area, insets)), rtol=1e-5)
+        np.isclose(simple.area(), sum(map(signed_area, insets)), rtol=1e-5)
     )
-
-
-def _signed_area(outline: np.ndarray) -> float:
-    x, y = outline.T
-    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2)
