@@ -25,15 +25,13 @@ def screw_cap(draw: Draw, radius: float, name: str = "cap") -> Manifold:
     wide = radius * draw.uniform(f"{name}_ratio", 1.03, 1.3)
     length = draw.uniform(f"{name}_length", 0.009, 0.03)
     taper = draw.uniform(f"{name}_taper", 0.75, 1.0)
-    profile = [(0, 0), (wide, 0), (wide, 0.4 * length), (wide * taper, length)]
+    profile = [(wide, 0), (wide, 0.4 * length), (wide * taper, length)]
     form = draw.choice(f"{name}_form", ("flat", "flat", "dome", "nozzle"))
     if form == "dome":
         profile += [(0.7 * wide * taper, length + 0.35 * wide), (0.0, length + 0.5 * wide)]
     elif form == "nozzle":
         tip = draw.uniform(f"{name}_nozzle", 0.012, 0.03)
-        profile += [(0.5 * wide, length), (0.3 * wide, length + tip), (0, length + tip)]
-    else:
-        profile += [(0, length)]
+        profile += [(0.5 * wide, length), (0.3 * wide, length + tip)]
     return turn(profile, fillet=0.0009, segments=40)
 
 
@@ -51,7 +49,7 @@ def bottle(draw: Draw) -> Manifold:
     body = loft_sections(z, shape, shape)
     rings = draw.integer("rings", 0, 4)
     if rings:
-        band = turn([(0, -0.002), (0.5, -0.002), (0.5, 0.002), (0, 0.002)])
+        band = turn([(0.5, -0.002), (0.5, 0.002)])
         levels = np.linspace(0.15, 0.85, rings) * shoulder * height
         grooves = [
             (

@@ -31,7 +31,7 @@ def lamp(draw: Draw) -> Manifold:
     top_ratio = draw.uniform("shade_top", 0.35, 0.9)
     wall = draw.uniform("wall", 0.0015, 0.003)
     rise = draw.uniform("foot_height", 0.006, 0.02)
-    base = turn([(0, 0), (foot, 0), (foot, 0.4 * rise), (2 * stem, rise), (0, rise)], fillet=0.001)
+    base = turn([(foot, 0), (foot, 0.4 * rise), (2 * stem, rise)], fillet=0.001)
     line = soften([(0, drop), (top_ratio * shade, drop), (shade, 0)], 1)
     cover = shell(line, wall)
     swan = draw.chance("swan_neck", 0.5)
@@ -131,7 +131,6 @@ def cup_to_go(draw: Draw) -> Manifold:
     lid = draw.uniform("lid_height", 0.002, 0.016)
     rim = radius + draw.uniform("rim", 0.001, 0.004)
     profile = [
-        (0, 0.004),
         (foot - 0.003, 0.004),
         (foot - 0.003, 0),
         (foot, 0),
@@ -140,7 +139,6 @@ def cup_to_go(draw: Draw) -> Manifold:
         (rim, height + 0.4 * lid),
         (0.88 * radius, height + lid),
         (0.8 * radius, height + 0.6 * lid),
-        (0, height + 0.6 * lid),
     ]
     cup = turn(profile, fillet=0.0006)
     if draw.chance("straw", 0.25):
@@ -181,10 +179,8 @@ def teapot(draw: Draw) -> Manifold:
     )
     body = solid_of(line, 0.002)
     dome = draw.uniform("lid_dome", 0.004, 0.02)
-    top = turn(
-        [(0, -0.004), (neck, -0.004), (neck, 0.002), (0.6 * neck, dome), (0, dome + 0.001)],
-        fillet=0.001,
-    )
+    lid = [(neck, -0.004), (neck, 0.002), (0.6 * neck, dome), (0, dome + 0.001)]
+    top = turn(lid, fillet=0.001)
     knob = ellipsoid((0.009, 0.009, 0.009), segments=20)
     thick = draw.uniform("spout_radius", 0.006, 0.011)
     reach = radius * draw.uniform("spout_reach", 0.4, 0.8)

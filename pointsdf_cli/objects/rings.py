@@ -104,7 +104,7 @@ def ring_stack(draw: Draw) -> Manifold:
     count = draw.integer("rings", 2, 6)
     thick = draw.uniform("ring", 0.006, 0.013)
     taper = draw.uniform("taper", 0.35, 1.0)
-    profile = [(0.0, 0.0), (base, 0.0), (base, 0.008)]
+    profile = [(base, 0.0), (base, 0.008)]
     level = 0.008
     for index in range(count):
         size = base * (0.95 - (0.95 - 0.9 * taper) * index / count)

@@ -24,7 +24,6 @@ def can(draw: Draw) -> Manifold:
     side = np.column_stack([radius - ripple, z])
     rim = radius + bead
     profile = [
-        (0, sunk),
         (radius - 0.003, sunk),
         (radius - 0.002, 0),
         (rim, 0),
@@ -34,7 +33,6 @@ def can(draw: Draw) -> Manifold:
         (rim, height),
         (radius - 0.002, height),
         (radius - 0.003, height - sunk),
-        (0, height - sunk),
     ]
     return turn(profile, fillet=0.0005)
 
@@ -56,7 +54,6 @@ def drink_can(draw: Draw) -> Manifold:
         (neck + 0.001, height),
         (neck - 0.002, height),
         (neck - 0.003, height - 0.004),
-        (0, height - 0.004),
     ]
     body = turn(profile, fillet=0.0006)
     pull = rounded_box((0.5 * neck, 0.8 * neck, 0.0025), 0.001).translate((0, 0, height - 0.0045))
@@ -72,14 +69,12 @@ def crisps_tube(draw: Draw) -> Manifold:
     dent = draw.uniform("sunk_lid", 0.0, 0.003)
     rim = radius + overhang
     profile = [
-        (0, 0),
         (radius, 0),
         (radius, height - lid),
         (rim, height - lid),
         (rim, height),
         (rim - 0.003, height),
         (rim - 0.004, height - dent),
-        (0, height - dent),
     ]
     return turn(profile, fillet=0.0008)
 
@@ -94,14 +89,14 @@ def spray_can(draw: Draw) -> Manifold:
     shoulder = np.column_stack(
         [neck + (radius - neck) * np.cos(angle), body + dome * np.sin(angle)]
     )
-    can_profile = [(0, 0.003), (radius - 0.004, 0.003), (radius - 0.003, 0), (radius, 0)]
+    can_profile = [(radius - 0.004, 0.003), (radius - 0.003, 0), (radius, 0)]
     top = body + dome
-    solid = turn([*can_profile, *shoulder, (0, top)], fillet=0.0006)
+    solid = turn([*can_profile, *shoulder], fillet=0.0006)
     if draw.chance("cap", 0.55):
         cap = radius * draw.uniform("cap_ratio", 0.8, 0.98)
         length = draw.uniform("cap_length", 0.02, 0.05)
         taper = draw.uniform("cap_taper", 0.75, 1.0)
-        profile = [(0, 0), (cap, 0), (cap * taper, length), (0, length)]
+        profile = [(cap, 0), (cap * taper, length)]
         return union([solid, turn(profile, fillet=0.002).translate((0, 0, body + 0.2 * dome))])
     button = draw.uniform("button", 0.5, 0.9) * neck
     actuator = cylinder(button, 0.018, 0.002).translate((0, 0, top - 0.002))
@@ -143,14 +138,12 @@ def marker(draw: Draw) -> Manifold:
     tail = radius * draw.uniform("tail_ratio", 0.6, 1.0)
     tip = cap * draw.uniform("tip_ratio", 0.6, 0.95)
     profile = [
-        (0, 0),
         (tail, 0),
         (radius, 0.012),
         (radius, cap_start),
         (cap, cap_start),
         (cap, length - 0.012),
         (tip, length),
-        (0, length),
     ]
     pen = turn(profile, fillet=0.0007, segments=28)
     if draw.chance("clip", 0.4):
@@ -169,7 +162,6 @@ def flashlight(draw: Draw) -> Manifold:
     depth = draw.uniform("lens_depth", 0.002, 0.02)
     start = length - head_length
     profile = [
-        (0, 0),
         (radius * 0.9, 0),
         (radius, 0.008),
         (radius, start - flare),
@@ -177,7 +169,6 @@ def flashlight(draw: Draw) -> Manifold:
         (head, length),
         (head - 0.003, length),
         (0.35 * head, length - depth),
-        (0, length - depth),
     ]
     light = turn(profile, fillet=0.0008, segments=40)
     if draw.chance("switch", 0.6):
@@ -199,8 +190,7 @@ def candle(draw: Draw) -> Manifold:
     radii[0] = radius
     z = np.linspace(0, height, 40)
     swell = smooth_steps(at, radii, z)
-    profile = np.concatenate([[(0, 0)], np.column_stack([swell, z]), [(0, height)]])
-    return turn(profile, fillet=draw.uniform("fillet", 0.0008, 0.004))
+    return turn(np.column_stack([swell, z]), fillet=draw.uniform("fillet", 0.0008, 0.004))
 
 
 FAMILIES = (

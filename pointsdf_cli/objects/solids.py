@@ -30,12 +30,15 @@ def turn(
     """Revolve a profile about z.
 
     Args:
-        profile: [N, 2] (radius, z) from the axis at the bottom to the axis at the top, or a region
-            of the (radius, z) half plane.
+        profile: [N, 2] (radius, z) from the bottom to the top, whose ends are joined level to the
+            axis, or a region of the (radius, z) half plane.
         fillet: Radius that all its corners are rounded by, m.
         segments: Corners of a full turn.
     """
-    half = profile if isinstance(profile, CrossSection) else polygon(profile)
+    if isinstance(profile, CrossSection):
+        half = profile
+    else:
+        half = polygon([(0, profile[0][1]), *profile, (0, profile[-1][1])])
     if fillet > 0:
         # Mirrored first, so that the rounding does not touch the axis.
         half = rounded(half + half.mirror((1.0, 0.0)), fillet)
@@ -46,8 +49,8 @@ def turn(
 
 def cylinder(radius: float, height: float, fillet: float = 0.0, segments: int = 0) -> Manifold:
     """An upright cylinder from z = 0 to `height`, its rims rounded by `fillet`."""
-    profile = np.array([[0, 0], [radius, 0], [radius, height], [0, height]])
-    return turn(profile, fillet=min(fillet, 0.49 * radius, 0.49 * height), segments=segments or 40)
+    fillet = min(fillet, 0.49 * radius, 0.49 * height)
+    return turn([(radius, 0), (radius, height)], fillet, segments or 40)
 
 
 def rounded_box(size: Vector, radius: float = 0.0, segments: int = 12) -> Manifold:

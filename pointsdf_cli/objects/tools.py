@@ -47,14 +47,7 @@ def hammer(draw: Draw) -> Manifold:
         block = rounded_box((2 * face, 2 * face, 2 * half), 0.004)
         head = centred(block, 2 * half, (0, 90, 0))
     else:
-        profile = [
-            (0, 0),
-            (face, 0),
-            (face, 0.3 * half),
-            (0.65 * face, 0.45 * half),
-            (0.75 * face, half),
-            (0, half),
-        ]
+        profile = [(face, 0), (face, 0.3 * half), (0.65 * face, 0.45 * half), (0.75 * face, half)]
         head = centred(turn(profile, fillet=0.001, segments=32), 2 * half, (0, 90, 0))
         block = rounded_box((1.9 * face, 1.7 * face, 1.7 * face), 0.3 * face)
         parts = [head, centred(block, 1.7 * face)]
@@ -140,13 +133,7 @@ def power_drill(draw: Draw) -> Manifold:
     # Built with the bore along x and the grip along −y; it lies with its flat side down.
     deep = shape * draw.uniform("motor_flatness", 0.85, 1.1)
     motor = loft_sections(z, shape, deep, 2.6).rotate((0, 90, 0))
-    nose = [
-        (0, 0),
-        (0.72 * radius, 0),
-        (0.66 * radius, 0.6 * chuck),
-        (0.3 * radius, chuck),
-        (0, chuck),
-    ]
+    nose = [(0.72 * radius, 0), (0.66 * radius, 0.6 * chuck), (0.3 * radius, chuck)]
     jaws = turn(nose, fillet=0.001, segments=28).rotate((0, 90, 0))
     root = np.array([length * draw.uniform("grip_at", 0.25, 0.5), -0.3 * radius, 0])
     foot = root + np.array([-np.sin(rake), -np.cos(rake), 0]) * (grip_length + radius)

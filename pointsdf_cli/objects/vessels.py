@@ -148,12 +148,8 @@ def wine_glass(draw: Draw) -> Manifold:
         (0.97 * radius, stem + 0.7 * bowl_height),
         (mouth, stem + bowl_height),
     ]
-    base = [(0, 0), (foot, 0), (foot, 0.0015), (1.5 * thick, 0.006), (thick, 0.012 + 0.1 * stem)]
-    top = [
-        (thick, stem - 0.05 * stem),
-        (1.8 * thick, stem + 0.02 * bowl_height),
-        (0, stem + 0.02 * bowl_height),
-    ]
+    base = [(foot, 0), (foot, 0.0015), (1.5 * thick, 0.006), (thick, 0.012 + 0.1 * stem)]
+    top = [(thick, stem - 0.05 * stem), (1.8 * thick, stem + 0.02 * bowl_height)]
     if stem < 0.014:
         base = base[:-1]
     return union([shell(soften(line), wall), turn(base + top, fillet=0.0006)])
@@ -245,14 +241,7 @@ def lid(draw: Draw) -> Manifold:
         return cover
     knob = draw.uniform("knob_radius", 0.008, 0.018)
     rise = draw.uniform("knob_rise", 0.01, 0.025)
-    profile = [
-        (0, 0),
-        (0.5 * knob, 0),
-        (0.5 * knob, 0.4 * rise),
-        (knob, 0.6 * rise),
-        (knob, rise),
-        (0, rise),
-    ]
+    profile = [(0.5 * knob, 0), (0.5 * knob, 0.4 * rise), (knob, 0.6 * rise), (knob, rise)]
     return union([cover, turn(profile, fillet=0.001).translate((0, 0, skirt + dome))])
 
 
