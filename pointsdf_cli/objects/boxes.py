@@ -7,7 +7,7 @@ from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.sections import grid, polygon, rounded
+from pointsdf_cli.objects.sections import grid, polygon, rounded, symmetric
 from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, on_edge, rounded_box, union
 
 
@@ -58,15 +58,7 @@ def drink_carton(draw: Draw) -> Manifold:
         rise = draw.uniform("gable", 0.3, 0.55) * depth
         fin = draw.uniform("fin", 0.008, 0.018)
         half = depth / 2 - 0.001
-        gable = polygon(
-            [
-                (-half, 0),
-                (half, 0),
-                (half, height - 0.004),
-                (0, height + rise),
-                (-half, height - 0.004),
-            ]
-        )
+        gable = symmetric([(half, 0), (half, height - 0.004), (0, height + rise)])
         parts.append(on_edge(gable.extrude(width - 0.002), width - 0.002))
         ridge = rounded_box((width - 0.002, 0.003, fin + rise), 0.001)
         parts.append(ridge.translate((0, 0, height)))
@@ -92,14 +84,9 @@ def book(draw: Draw) -> Manifold:
     pages = rounded_box((width - overhang, length - 2 * overhang, thickness - board))
     lower = rounded_box((width, length, board), 0.0005)
     spine = rounded_box((2 * board, length, thickness), 0.4 * board)
-    return union(
-        [
-            pages.translate((-overhang / 2, 0, board / 2)),
-            lower,
-            lower.translate((0, 0, thickness - board)),
-            spine.translate((-width / 2 + board, 0, 0)),
-        ]
-    )
+    upper = lower.translate((0, 0, thickness - board))
+    pages = pages.translate((-overhang / 2, 0, board / 2))
+    return union([pages, lower, upper, spine.translate((-width / 2 + board, 0, 0))])
 
 
 def wood_block(draw: Draw) -> Manifold:
@@ -194,14 +181,7 @@ def remote(draw: Draw) -> Manifold:
     thickness = draw.uniform("thickness", 0.009, 0.026)
     taper = draw.uniform("taper", 0.75, 1.1)
     corner = draw.uniform("corner", 0.1, 0.45) * width
-    outline = polygon(
-        [
-            (-width / 2 * taper, -length / 2),
-            (width / 2 * taper, -length / 2),
-            (width / 2, length / 2),
-            (-width / 2, length / 2),
-        ]
-    )
+    outline = symmetric([(width / 2 * taper, -length / 2), (width / 2, length / 2)])
     body = bevelled(rounded(outline, min(corner, 0.4 * width * min(taper, 1))), thickness, 0.004)
     columns = draw.integer("button_columns", 0, 3)
     rows = draw.integer("button_rows", 3, 8)

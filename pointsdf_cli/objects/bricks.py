@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import grid, polygon, rounded
+from pointsdf_cli.objects.sections import grid, polygon, rounded, symmetric
 from pointsdf_cli.objects.solids import bevelled, centred, cylinder, on_edge, rounded_box, union
 
 
@@ -23,12 +23,10 @@ def brick(draw: Draw) -> Manifold:
     if form == "curved" and rows >= 3:
         flat = half - pitch
         t = np.linspace(0, np.pi / 2, 9)
-        side = np.column_stack(
-            [flat + (half - flat) * np.cos(t), height * (0.15 + 0.85 * np.sin(t))]
-        )
-        outline = np.concatenate([[(-half, 0), (half, 0)], side, side[::-1] * [-1, 1]])
+        y, z = flat + (half - flat) * np.cos(t), height * (0.15 + 0.85 * np.sin(t))
+        outline = symmetric([(half, 0), *np.column_stack([y, z])])
         studs = grid(columns, max(rows - 2, 1), pitch)
-        body = on_edge(bevelled(polygon(outline), width, 0.0006), width)
+        body = on_edge(bevelled(outline, width, 0.0006), width)
     elif form == "sloped" and rows >= 3:
         slope = [
             (-half, 0),
@@ -51,11 +49,10 @@ def brick(draw: Draw) -> Manifold:
     filled = union(parts)
     if not draw.chance("hollow_below", 0.6):
         return filled
-    # The room below keeps clear of a slope or a curve by being as high as their lowest edge.
-    roof = (
-        height - wall if form == "block" or rows < 3 else max(0.15 * height, 0.55 * height - wall)
-    )
-    inset = wall if form == "block" or rows < 3 else max(wall, 0.45 * pitch)
+    roof, inset = height - wall, wall
+    if form != "block" and rows >= 3:
+        # The room below keeps clear of a slope or a curve by being as high as their lowest edge.
+        roof, inset = max(0.15 * height, 0.55 * height - wall), max(wall, 0.45 * pitch)
     room = rounded_box((width - 2 * wall, length - 2 * inset, roof + 0.005))
     room = room.translate((0, 0, -0.005))
     if columns > 1 and rows > 1:

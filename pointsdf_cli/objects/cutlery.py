@@ -7,7 +7,14 @@ from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth_steps, stroke
+from pointsdf_cli.objects.sections import (
+    polygon,
+    rounded,
+    smooth_curve,
+    smooth_steps,
+    stroke,
+    symmetric,
+)
 from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, tube, union
 
 # Edge and back of a blade at five places along it, as fractions of its width.
@@ -28,12 +35,10 @@ def _handle(draw: Draw, length: float) -> Manifold:
     wide = smooth_steps([0, 0.08, 0.45, 0.75, 1], [0.8 * end, end, 0.8 * end, neck, neck], t)
     if thick:
         bulk = end * draw.uniform("handle_bulk", 0.7, 1.2)
-        high = smooth_steps(
-            [0, 0.1, 0.6, 0.75, 1], [0.7 * bulk, bulk, 0.85 * bulk, 0.0016, 0.0013], t
-        )
+        heights = [0.7 * bulk, bulk, 0.85 * bulk, 0.0016, 0.0013]
+        high = smooth_steps([0, 0.1, 0.6, 0.75, 1], heights, t)
     else:
-        sheet = draw.uniform("handle_sheet", 0.0009, 0.0018)
-        high = np.full_like(t, sheet)
+        high = np.full_like(t, draw.uniform("handle_sheet", 0.0009, 0.0018))
     arch = draw.uniform("handle_arch", 0.0, 0.012)
     path = np.column_stack([np.zeros_like(t), length * (t - 1), arch * np.sin(np.pi * t)])
     return tube(path, wide, high, exponent=2.6, corners=14)
@@ -61,32 +66,14 @@ def fork(draw: Draw) -> Manifold:
     fill = draw.uniform("tine_fill", 0.4, 0.62)
     pitch = width / tines
     place = pitch * (np.arange(tines) - (tines - 1) / 2)
-    shoulder = polygon(
-        [
-            (-0.003, -0.004),
-            (0.003, -0.004),
-            (0.42 * width, 0.6 * root),
-            (0.5 * width, root + 0.002),
-            (-0.5 * width, root + 0.002),
-            (-0.42 * width, 0.6 * root),
-        ]
-    )
-    steps = np.linspace(0, tine_length, 5)
-    rods = [
-        stroke(
-            np.column_stack([np.full(5, x), root + steps]), pitch * np.linspace(fill, 0.6 * fill, 5)
-        )
-        for x in place
-    ]
-    outline = shoulder
-    for rod in rods:
-        outline = outline + rod
+    outline = symmetric([(0.003, -0.004), (0.42 * width, 0.6 * root), (0.5 * width, root + 0.002)])
+    y, thick = root + np.linspace(0, tine_length, 5), pitch * np.linspace(fill, 0.6 * fill, 5)
+    for x in place:
+        outline += stroke(np.column_stack([np.full(5, x), y]), thick)
     outline = rounded(outline, 0.0, 0.15 * pitch)
     head = bevelled(outline, sheet, 0.25 * sheet).translate((0, 0, -sheet / 2))
-    total = root + tine_length
-    return union(
-        [_handle(draw, length), _bent(refine(head, 0.006), draw.uniform("sag", 0.0, 0.012), total)]
-    )
+    handle, sag = _handle(draw, length), draw.uniform("sag", 0.0, 0.012)
+    return union([handle, _bent(refine(head, 0.006), sag, root + tine_length)])
 
 
 def spoon(draw: Draw) -> Manifold:
@@ -117,9 +104,8 @@ def ladle(draw: Draw) -> Manifold:
     thick = draw.uniform("handle_radius", 0.003, 0.006)
     ends = np.array([np.cos(lift), 0, np.sin(lift)]) * length
     start = np.array([rim, 0, cut - 0.004])
-    path = smooth_curve(
-        [start, start + 0.45 * ends + [0.1 * radius, 0, -0.1 * radius], start + ends], 14
-    )
+    middle = start + 0.45 * ends + [0.1 * radius, 0, -0.1 * radius]
+    path = smooth_curve([start, middle, start + ends], 14)
     handle = tube(path, thick, 0.6 * thick, up=(0, 1, 0), round_ends=True)
     return union([cup, handle - inner])
 
@@ -133,13 +119,10 @@ def knife(draw: Draw) -> Manifold:
     t = np.linspace(0, 1, 16)
     low, high = _BLADES[form]
     at = [0, 0.3, 0.6, 0.85, 1]
-    edge = np.minimum(width * smooth_steps(at, low, t), width * smooth_steps(at, high, t) - 0.0015)
     spine = width * smooth_steps(at, high, t)
-    outline = polygon(
-        np.concatenate(
-            [np.column_stack([edge, blade * t]), np.column_stack([spine, blade * t])[::-1]]
-        )
-    )
+    edge = np.minimum(width * smooth_steps(at, low, t), spine - 0.0015)
+    sides = [np.column_stack([x, blade * t]) for x in (edge, spine)]
+    outline = polygon(np.concatenate([sides[0], sides[1][::-1]]))
     plate = bevelled(rounded(outline, 0.0004), back).translate((-0.62 * width, 0, -back / 2))
 
     def sharpen(points: np.ndarray) -> np.ndarray:
@@ -166,9 +149,7 @@ def spatula(draw: Draw) -> Manifold:
     handle = draw.uniform("handle_length", 0.12, 0.23)
     crank = draw.uniform("crank", 0.0, 0.045)
     thick = draw.uniform("grip_radius", 0.005, 0.011)
-    outline = polygon(
-        [(-width / 2 * taper, 0), (width / 2 * taper, 0), (width / 2, blade), (-width / 2, blade)]
-    )
+    outline = symmetric([(width / 2 * taper, 0), (width / 2, blade)])
     outline = rounded(outline, draw.uniform("corner", 0.003, 0.014))
     slots = draw.integer("slots", 0, 5)
     if slots:
@@ -178,17 +159,15 @@ def spatula(draw: Draw) -> Manifold:
             outline -= stroke([(x, 0.25 * blade), (x, 0.8 * blade)], 0.45 * pitch)
     plate = bevelled(outline, sheet, 0.3 * sheet)
     t = np.linspace(0, 1, 20)
-    path = smooth_curve(
-        [
-            (0, 0.012, 0.6 * sheet),
-            (0, -0.012, 0.004 + 0.25 * crank),
-            (0, -0.35 * handle, 0.7 * crank),
-            (0, -handle, crank),
-        ],
-        20,
-    )
+    knots = [
+        (0, 0.012, 0.6 * sheet),
+        (0, -0.012, 0.004 + 0.25 * crank),
+        (0, -0.35 * handle, 0.7 * crank),
+        (0, -handle, crank),
+    ]
     slim = draw.uniform("neck_ratio", 0.35, 0.8)
     wide = thick * smooth_steps([0, 0.35, 0.55, 0.9, 1], [slim, slim, 1, 1, 0.75], t)
+    path = smooth_curve(knots, 20)
     return union([plate, tube(path, wide, np.maximum(0.6 * wide, 0.0018))])
 
 
@@ -198,7 +177,6 @@ def rolling_pin(draw: Draw) -> Manifold:
     length = draw.uniform("length", 0.05, 0.22)
     grip = radius * draw.uniform("grip_ratio", 0.3, 0.7)
     tail = draw.uniform("grip_length", 0.02, 0.06)
-    parts = []
     if draw.chance("dumb_bell", 0.4):
         corners = draw.choice("corners", (6, 8, 36))
         weight = bevelled(CrossSection.circle(radius, corners), 0.3 * length, 0.1 * radius)
@@ -208,13 +186,12 @@ def rolling_pin(draw: Draw) -> Manifold:
         parts = [cylinder(radius, length, 0.15 * radius)]
         knob = ellipsoid((grip, grip, tail), segments=28)
         parts += [knob.translate((0, 0, -0.4 * tail)), knob.translate((0, 0, length + 0.4 * tail))]
+    pin = union(parts)
     if draw.chance("socket", 0.3):
         deep = draw.uniform("socket_depth", 0.15, 0.5) * length
-        socket = (
-            CrossSection.circle(0.6 * radius, 6).extrude(2 * deep).translate((0, 0, length - deep))
-        )
-        return (union(parts) - socket).rotate((0, 90, 0))
-    return union(parts).rotate((0, 90, 0))
+        socket = CrossSection.circle(0.6 * radius, 6).extrude(2 * deep)
+        pin -= socket.translate((0, 0, length - deep))
+    return pin.rotate((0, 90, 0))
 
 
 FAMILIES = (

@@ -20,6 +20,12 @@ def polygon(points: Points) -> CrossSection:
     return CrossSection([outline[::-1] if signed_area(outline) < 0 else outline])
 
 
+def symmetric(side: Points) -> CrossSection:
+    """The region between a polyline [N, 2] to the right of x = 0 and its mirror image."""
+    right = np.asarray(side, dtype=float)
+    return polygon(np.concatenate([right, right[::-1] * [-1, 1]]))
+
+
 def signed_area(outline: np.ndarray) -> float:
     """Area in m² inside a polygon [N, 2], negative if it is wound clockwise."""
     x, y = outline.T

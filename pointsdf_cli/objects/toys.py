@@ -6,7 +6,14 @@ import numpy as np
 from manifold3d import Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth_steps, stroke
+from pointsdf_cli.objects.sections import (
+    polygon,
+    rounded,
+    smooth_curve,
+    smooth_steps,
+    stroke,
+    symmetric,
+)
 from pointsdf_cli.objects.solids import (
     bevelled,
     centred,
@@ -25,13 +32,11 @@ def aeroplane(draw: Draw) -> Manifold:
     length = draw.uniform("length", 0.12, 0.27)
     body = length * draw.uniform("body_ratio", 0.07, 0.13)
     t = np.linspace(0, 1, 22)
-    shape = body * smooth_steps(
-        [0, 0.04, 0.2, 0.45, 1], [0.75, 0.9, 1.0, 0.95, draw.uniform("tail_ratio", 0.25, 0.6)], t
-    )
+    girth = [0.75, 0.9, 1.0, 0.95, draw.uniform("tail_ratio", 0.25, 0.6)]
+    shape = body * smooth_steps([0, 0.04, 0.2, 0.45, 1], girth, t)
     path = np.column_stack([length * t, np.zeros_like(t), np.linspace(0, 0.25 * body, 22)])
-    parts = [
-        tube(path, shape, 1.05 * shape, exponent=draw.uniform("section", 2.0, 3.5), corners=20)
-    ]
+    section = draw.uniform("section", 2.0, 3.5)
+    parts = [tube(path, shape, 1.05 * shape, exponent=section, corners=20)]
     span = length * draw.uniform("span_ratio", 0.75, 1.2)
     chord = length * draw.uniform("chord_ratio", 0.16, 0.26)
     sheet = draw.uniform("wing_thickness", 0.004, 0.01)
@@ -63,12 +68,8 @@ def aeroplane(draw: Draw) -> Manifold:
 def _wing(half_span: float, root: float, taper: float, back: float, thick: float) -> Manifold:
     """Both halves of a wing: chord `root`, tip `taper` · root and `back` [m] behind it."""
     tip = taper * root
-    outline = [
-        (0, -half_span * 0.02),
-        (root, -half_span * 0.02),
-        (back + tip, half_span),
-        (back, half_span),
-    ]
+    inner = -half_span * 0.02
+    outline = [(0, inner), (root, inner), (back + tip, half_span), (back, half_span)]
     half = rounded(polygon(outline), 0.12 * root)
     return bevelled(half + half.mirror((0.0, 1.0)), thick, 0.3 * thick)
 
@@ -76,9 +77,8 @@ def _wing(half_span: float, root: float, taper: float, back: float, thick: float
 def _propeller(draw: Draw, body: float) -> Manifold:
     """A hub and two vanes before a fuselage of radius `body` [m]."""
     hub = tube(np.linspace((-0.9 * body, 0, 0), (0.1 * body, 0, 0), 5), 0.28 * body, corners=14)
-    vane = ellipsoid(
-        (0.1 * body + 0.001, 0.28 * body, 1.5 * body), (-0.6 * body, 0, 0), segments=20
-    )
+    radii = (0.1 * body + 0.001, 0.28 * body, 1.5 * body)
+    vane = ellipsoid(radii, (-0.6 * body, 0, 0), segments=20)
     return union([hub, vane.rotate((float(draw.uniform("propeller_turn", 0, 180)), 0, 0))])
 
 
@@ -115,9 +115,8 @@ def toy_car(draw: Draw) -> Manifold:
         ]
     )
     outline[:, 0] = np.clip(outline[:, 0], -half, half)
-    shell = bevelled(
-        rounded(polygon(outline), 0.06 * body), width, draw.uniform("edge", 0.001, 0.008)
-    )
+    edge = draw.uniform("edge", 0.001, 0.008)
+    shell = bevelled(rounded(polygon(outline), 0.06 * body), width, edge)
     shell = centred(shell, width, (90, 0, 0))
     wheel = draw.uniform("wheel", 0.07, 0.11) * length
     thick = 0.22 * width
@@ -125,11 +124,8 @@ def toy_car(draw: Draw) -> Manifold:
     axles = (-0.3 * length, 0.3 * length)
     out = draw.uniform("track", 0.4, 0.52) * width
     well = cylinder(1.12 * wheel, 0.5 * thick, segments=32).rotate((90, 0, 0))
-    wells = [
-        well.translate((x, y, 0))
-        for x in axles
-        for y in (width / 2 + 0.1 * thick, -width / 2 + 0.4 * thick)
-    ]
+    sides = (width / 2 + 0.1 * thick, -width / 2 + 0.4 * thick)
+    wells = [well.translate((x, y, 0)) for x in axles for y in sides]
     discs = [disc.translate((x, side * out, 0.05 * wheel)) for x in axles for side in (-1, 1)]
     axle = centred(cylinder(0.35 * wheel, 2 * out, segments=16), 2 * out, (90, 0, 0))
     rods = [axle.translate((x, 0, 0.05 * wheel)) for x in axles]
@@ -151,39 +147,25 @@ def animal(draw: Draw) -> Manifold:
         for side in (-1, 1):
             hip = (x, side * 0.5 * girth * trunk, -0.3 * trunk)
             foot = (1.08 * x, side * 0.62 * girth * trunk, -0.5 * trunk - leg_length)
-            radii = np.linspace(1.1 * leg, 0.85 * leg, 6)
-            parts.append(tube(np.linspace(hip, foot, 6), radii, up=(1, 0, 0), corners=18))
-    neck = np.array(
-        [
-            trunk * stretch * draw.uniform("neck_forward", 0.6, 1.1),
-            0,
-            trunk * draw.uniform("neck_up", 0.5, 1.6),
-        ]
-    )
+            bone, radii = np.linspace(hip, foot, 6), (1.1 * leg, 0.85 * leg)
+            parts.append(tube(bone, radii, up=(1, 0, 0), corners=18))
+    forward = trunk * stretch * draw.uniform("neck_forward", 0.6, 1.1)
+    neck = (forward, 0, trunk * draw.uniform("neck_up", 0.5, 1.6))
     throat = np.linspace([0.4 * trunk * stretch, 0, 0], neck, 6)
-    radii = np.linspace(0.7 * head, 0.6 * head, 6)
-    parts.append(tube(throat, radii, up=(0, 1, 0), corners=18))
-    parts.append(
-        ellipsoid((head * draw.uniform("snout", 1.0, 1.6), head, head), tuple(neck), segments=32)
-    )
+    parts.append(tube(throat, (0.7 * head, 0.6 * head), up=(0, 1, 0), corners=18))
+    snout = head * draw.uniform("snout", 1.0, 1.6)
+    parts.append(ellipsoid((snout, head, head), neck, segments=32))
     ear = head * draw.uniform("ear", 0.3, 0.75)
     for side in (-1, 1):
-        parts.append(
-            ellipsoid(
-                (0.3 * ear, 0.55 * ear, ear),
-                (neck[0] - 0.2 * head, side * 0.6 * head, neck[2] + 0.75 * head),
-                segments=18,
-            )
-        )
+        place = (neck[0] - 0.2 * head, side * 0.6 * head, neck[2] + 0.75 * head)
+        parts.append(ellipsoid((0.3 * ear, 0.55 * ear, ear), place, segments=18))
     if draw.chance("tail", 0.6):
-        tail = smooth_curve(
-            [
-                (-0.85 * trunk * stretch, 0, 0.2 * trunk),
-                (-1.4 * trunk * stretch, 0, 0.5 * trunk),
-                (-1.6 * trunk * stretch, 0, draw.uniform("tail_up", 0.0, 1.4) * trunk),
-            ],
-            10,
-        )
+        knots = [
+            (-0.85 * trunk * stretch, 0, 0.2 * trunk),
+            (-1.4 * trunk * stretch, 0, 0.5 * trunk),
+            (-1.6 * trunk * stretch, 0, draw.uniform("tail_up", 0.0, 1.4) * trunk),
+        ]
+        tail = smooth_curve(knots, 10)
         parts.append(tube(tail, np.linspace(0.24, 0.12, 10) * trunk, up=(0, 1, 0), corners=12))
     return union(parts)
 
@@ -195,21 +177,10 @@ def toy_house(draw: Draw) -> Manifold:
     height = width * draw.uniform("height_ratio", 0.5, 1.3)
     rise = width * draw.uniform("roof_ratio", 0.25, 0.7)
     eave = draw.uniform("eave", 0.002, 0.01)
-    gable = polygon(
-        [
-            (-width / 2, 0),
-            (width / 2, 0),
-            (width / 2, height),
-            (0, height + rise),
-            (-width / 2, height),
-        ]
-    )
+    gable = symmetric([(width / 2, 0), (width / 2, height), (0, height + rise)])
     house = centred(bevelled(gable, depth, 0.0005), depth, (90, 0, 0))
-    slope = [
-        (-width / 2 - eave, height - eave * 2 * rise / width),
-        (0, height + rise),
-        (width / 2 + eave, height - eave * 2 * rise / width),
-    ]
+    out, low = width / 2 + eave, height - eave * 2 * rise / width
+    slope = [(-out, low), (0, height + rise), (out, low)]
     long = depth + 2 * eave
     roof = stroke(slope, draw.uniform("roof_thickness", 0.003, 0.008)).extrude(long)
     parts = [house, centred(roof, long, (90, 0, 0))]
@@ -230,18 +201,11 @@ def top_toy(draw: Draw) -> Manifold:
     waist = radius * draw.uniform("waist_ratio", 0.25, 0.7)
     head = radius * draw.uniform("head_ratio", 0.45, 0.9)
     z = np.linspace(0, height, 34)
-    shape = smooth_steps(
-        np.array([0, 0.08, 0.3, 0.72, 1.0]) * height,
-        [0.85 * radius, radius, 0.9 * radius, waist, waist],
-        z,
-    )
+    at = np.array([0, 0.08, 0.3, 0.72, 1.0]) * height
+    shape = smooth_steps(at, [0.85 * radius, radius, 0.9 * radius, waist, waist], z)
     body = loft_sections(z, shape, shape)
-    crown = ellipsoid(
-        (head, head, head * draw.uniform("head_stretch", 0.8, 1.4)),
-        (0, 0, height + 0.4 * head),
-        segments=36,
-    )
-    parts = [body, crown]
+    radii = (head, head, head * draw.uniform("head_stretch", 0.8, 1.4))
+    parts = [body, ellipsoid(radii, (0, 0, height + 0.4 * head), segments=36)]
     if draw.chance("collar", 0.4):
         ring = turn([(0, -0.003), (1.25 * waist, -0.001), (1.25 * waist, 0.001), (0, 0.003)])
         parts.append(ring.translate((0, 0, 0.8 * height)))
