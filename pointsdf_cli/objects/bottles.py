@@ -17,7 +17,7 @@ from pointsdf_cli.objects.solids import (
     turn,
     union,
 )
-from pointsdf_cli.objects.walls import cavity, ear, shell, solid_of
+from pointsdf_cli.objects.walls import cavity, shell, side_handle, solid_of
 
 
 def screw_cap(draw: Draw, radius: float, name: str = "cap") -> Manifold:
@@ -51,12 +51,10 @@ def bottle(draw: Draw) -> Manifold:
     if rings:
         band = turn([(0.5, -0.002), (0.5, 0.002)])
         levels = np.linspace(0.15, 0.85, rings) * shoulder * height
-        grooves = [
-            (
-                band - centred(cylinder(float(np.interp(level, z, shape)) - 0.0012, 0.01), 0.01)
-            ).translate((0, 0, float(level)))
-            for level in levels
-        ]
+        grooves = []
+        for level in levels:
+            inner = cylinder(float(np.interp(level, z, shape)) - 0.0012, 0.01)
+            grooves.append((band - centred(inner, 0.01)).translate((0, 0, float(level))))
         body -= union(grooves)
     return union([body, screw_cap(draw, neck).translate((0, 0, height - 0.004))])
 
@@ -124,12 +122,8 @@ def spray_bottle(draw: Draw) -> Manifold:
     ratio = np.array([0.86, 0.95, 1, 1, 0.8 * waist + 0.2, waist, 0, 0])
     wide, deep = half_width * ratio, half_depth * ratio
     wide[-2:], deep[-2:] = neck, neck
-    body = loft_sections(
-        z,
-        smooth_steps(at, wide, z),
-        smooth_steps(at, deep, z),
-        draw.uniform("squareness", 2.0, 4.0),
-    )
+    power = draw.uniform("squareness", 2.0, 4.0)
+    body = loft_sections(z, smooth_steps(at, wide, z), smooth_steps(at, deep, z), power)
     head_length = draw.uniform("head_length", 0.06, 0.095)
     head_height = draw.uniform("head_height", 0.022, 0.034)
     head_width = draw.uniform("head_width", 0.018, 0.028)
@@ -140,14 +134,12 @@ def spray_bottle(draw: Draw) -> Manifold:
     nozzle = cylinder(0.008, 0.012, 0.0015, segments=20).rotate((0, 90, 0))
     nozzle = nozzle.translate((front - 0.003, 0, height + 0.01 + 0.65 * head_height))
     reach = draw.uniform("trigger_reach", 0.026, 0.042)
-    trigger = smooth_curve(
-        [
-            (0.5 * head_length, 0, height + 0.016),
-            (0.46 * head_length, 0, height + 0.01 - 0.5 * reach),
-            (0.6 * head_length, 0, height + 0.01 - reach),
-        ],
-        10,
-    )
+    knots = [
+        (0.5 * head_length, 0, height + 0.016),
+        (0.46 * head_length, 0, height + 0.01 - 0.5 * reach),
+        (0.6 * head_length, 0, height + 0.01 - reach),
+    ]
+    trigger = smooth_curve(knots, 10)
     lever = tube(trigger, 0.003, draw.uniform("trigger_width", 0.004, 0.008), up=(0, 1, 0))
     return union([body, collar, head, nozzle, lever])
 
@@ -160,19 +152,16 @@ def pump_bottle(draw: Draw) -> Manifold:
     z = np.concatenate([[0, 0.002], np.linspace(0.005, height, 24)])
     at = height * np.array([0, 0.02, 0.06, 0.75, 0.9, 1.0])
     shape = smooth_steps(at, np.array([0.9 * radius, 0.96 * radius, radius, radius, neck, neck]), z)
-    body = loft_sections(
-        z, shape, shape * draw.uniform("depth_ratio", 0.7, 1.0), draw.uniform("squareness", 2, 5)
-    )
+    deep = shape * draw.uniform("depth_ratio", 0.7, 1.0)
+    body = loft_sections(z, shape, deep, draw.uniform("squareness", 2, 5))
     collar = cylinder(neck + 0.003, 0.018, 0.0015).translate((0, 0, height - 0.006))
     stem_height = draw.uniform("stem", 0.015, 0.035)
     stem = cylinder(0.0045, stem_height + 0.01, segments=16).translate((0, 0, height + 0.008))
     top = height + 0.012 + stem_height
     button = cylinder(draw.uniform("button", 0.009, 0.014), 0.012, 0.002)
     reach, drop = draw.uniform("spout", 0.025, 0.05), draw.uniform("drop", 0.0, 0.012)
-    spout = smooth_curve(
-        [(0, 0, top + 0.001), (0.7 * reach, 0, top + 0.002), (reach, 0, top - drop)], 10
-    )
-    nozzle = tube(spout, 0.0045, up=(0, 1, 0), corners=12)
+    knots = [(0, 0, top + 0.001), (0.7 * reach, 0, top + 0.002), (reach, 0, top - drop)]
+    nozzle = tube(smooth_curve(knots, 10), 0.0045, up=(0, 1, 0), corners=12)
     return union([body, collar, stem, button.translate((0, 0, top - 0.005)), nozzle])
 
 
@@ -198,15 +187,14 @@ def pitcher(draw: Draw) -> Manifold:
     wall = draw.uniform("wall", 0.002, 0.004)
     mouth = draw.uniform("mouth_ratio", 0.75, 1.1)
     belly = draw.uniform("belly_ratio", 0.95, 1.2)
-    line = soften(
-        [
-            (0, 0),
-            (0.92 * radius, 0),
-            (belly * radius, 0.35 * height),
-            (0.5 * (belly + mouth) * radius, 0.75 * height),
-            (mouth * radius, height),
-        ]
-    )
+    knots = [
+        (0, 0),
+        (0.92 * radius, 0),
+        (belly * radius, 0.35 * height),
+        (0.5 * (belly + mouth) * radius, 0.75 * height),
+        (mouth * radius, height),
+    ]
+    line = soften(knots)
     spout, narrow = draw.uniform("spout", 0.08, 0.4), draw.uniform("spout_width", 0.25, 0.5)
 
     def pour(points: np.ndarray) -> np.ndarray:
@@ -223,17 +211,10 @@ def pitcher(draw: Draw) -> Manifold:
     thick = draw.uniform("handle_radius", 0.005, 0.009)
     low = height * draw.uniform("handle_low", 0.15, 0.3)
     high = height * draw.uniform("handle_high", 0.78, 0.92)
-    at = np.interp([low, high], line[:, 1], line[:, 0])
     reach = draw.uniform("handle_reach", 0.03, 0.05) + thick
     squareness = draw.uniform("handle_squareness", 0, 1)
-    handle = ear(
-        (at[0], low),
-        (at[1], high),
-        reach,
-        squareness,
-        thick,
-        thick * draw.uniform("handle_flatness", 0.9, 1.7),
-    )
+    flat = draw.uniform("handle_flatness", 0.9, 1.7)
+    handle = side_handle(line, low, high, reach, squareness, thick, thick * flat)
     jug = union([body, handle - inside])
     if closed:
         inner = mouth * radius - wall

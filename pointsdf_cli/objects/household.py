@@ -18,7 +18,7 @@ from pointsdf_cli.objects.solids import (
     turn,
     union,
 )
-from pointsdf_cli.objects.walls import cavity, ear, shell, solid_of
+from pointsdf_cli.objects.walls import cavity, shell, side_handle, solid_of
 
 
 def lamp(draw: Draw) -> Manifold:
@@ -34,19 +34,16 @@ def lamp(draw: Draw) -> Manifold:
     base = turn([(foot, 0), (foot, 0.4 * rise), (2 * stem, rise)], fillet=0.001)
     line = soften([(0, drop), (top_ratio * shade, drop), (shade, 0)], 1)
     cover = shell(line, wall)
-    swan = draw.chance("swan_neck", 0.5)
-    if swan:
+    if draw.chance("swan_neck", 0.5):
         reach = draw.uniform("reach", 0.03, 0.09)
-        path = smooth_curve(
-            [
-                (0, 0, 0.5 * rise),
-                (0, 0, 0.6 * height),
-                (0.45 * reach, 0, height),
-                (reach, 0, 0.86 * height),
-                (reach, 0, 0.78 * height),
-            ],
-            26,
-        )
+        knots = [
+            (0, 0, 0.5 * rise),
+            (0, 0, 0.6 * height),
+            (0.45 * reach, 0, height),
+            (reach, 0, 0.86 * height),
+            (reach, 0, 0.78 * height),
+        ]
+        path = smooth_curve(knots, 26)
         cover = cover.translate((reach, 0, 0.78 * height - drop))
     else:
         path = np.linspace((0, 0, 0.5 * rise), (0, 0, height), 6)
@@ -61,16 +58,10 @@ def shoe(draw: Draw) -> Manifold:
     height = length * draw.uniform("height_ratio", 0.26, 0.42)
     wall = draw.uniform("wall", 0.003, 0.005)
     t = np.linspace(0, 1, 24)
-    half = (
-        width
-        / 2
-        * smooth_steps(
-            [0, 0.04, 0.15, 0.42, 0.7, 0.92, 1], [0.3, 0.55, 0.72, 0.66, 1.0, 0.62, 0.3], t
-        )
-    )
-    top = height * smooth_steps(
-        [0, 0.06, 0.3, 0.45, 0.75, 0.95, 1], [0.8, 1.0, 1.0, 0.82, 0.42, 0.3, 0.2], t
-    )
+    at, widths = [0, 0.04, 0.15, 0.42, 0.7, 0.92, 1], [0.3, 0.55, 0.72, 0.66, 1.0, 0.62, 0.3]
+    half = width / 2 * smooth_steps(at, widths, t)
+    at, heights = [0, 0.06, 0.3, 0.45, 0.75, 0.95, 1], [0.8, 1.0, 1.0, 0.82, 0.42, 0.3, 0.2]
+    top = height * smooth_steps(at, heights, t)
 
     def body(shrink: float, floor: float) -> Manifold:
         angle = np.linspace(0, 2 * np.pi, 28, endpoint=False)
@@ -89,12 +80,8 @@ def shoe(draw: Draw) -> Manifold:
     if draw.chance("narrow_mouth", 0.3):
         opening = opening ^ inside.translate((0, 0, 0.3 * height))
     sole_rim = draw.uniform("sole_rim", 0.001, 0.005)
-    outline = np.concatenate(
-        [
-            np.column_stack([length * t, half + sole_rim]),
-            np.column_stack([length * t, -half - sole_rim])[::-1],
-        ]
-    )
+    side = np.column_stack([length * t, half + sole_rim])
+    outline = np.concatenate([side, side[::-1] * [1, -1]])
     sole = bevelled(rounded(polygon(outline), 0.004), draw.uniform("sole", 0.008, 0.02), 0.002)
     hollow = inside + (opening - sole)
     shoe_body = union([upper, sole]) - hollow.trim_by_plane((0, 0, 1), 0.012)
@@ -112,10 +99,9 @@ def padlock(draw: Draw) -> Manifold:
     bow = width * draw.uniform("bow_radius", 0.06, 0.11)
     span = width * draw.uniform("span", 0.26, 0.38)
     rise = width * draw.uniform("rise", 0.1, 0.7)
-    half = np.concatenate(
-        [[(span, -0.2 * height)], arc(span, 0, np.pi, 16, (0, rise)), [(-span, -0.2 * height)]]
-    )
-    path = np.column_stack([half[:, 0], np.zeros(len(half)), half[:, 1] + height])
+    arch = arc(span, 0, np.pi, 16, (0, rise))
+    x, z = np.array([(span, -0.2 * height), *arch, (-span, -0.2 * height)]).T
+    path = np.column_stack([x, np.zeros_like(x), z + height])
     body = rounded_box((width, depth, height), 0.12 * depth)
     if draw.chance("round_body", 0.35):
         disc = centred(cylinder(width / 2, depth, 0.1 * depth, segments=44), depth, (90, 0, 0))
@@ -160,10 +146,8 @@ def bucket(draw: Draw) -> Manifold:
     t = np.linspace(0, np.pi, 30)
     reach = radius + 0.5 * wall
     path = np.column_stack([reach * np.cos(t), np.zeros(30), 0.92 * height + rise * np.sin(t)])
-    low = np.array(
-        [[float(np.interp(0.82 * height, [0, height], [foot, radius])), 0, 0.82 * height]]
-    )
-    path = np.concatenate([low, path, low * [-1, 1, 1]])
+    side = np.interp(0.82 * height, [0, height], [foot, radius])
+    path = np.array([(side, 0, 0.82 * height), *path, (-side, 0, 0.82 * height)])
     handle = tube(path, bow, draw.uniform("bow_flatness", 1.0, 2.5) * bow, up=(0, 1, 0), corners=12)
     return union([shell(line, wall), handle - cavity(line, wall)])
 
@@ -174,9 +158,8 @@ def teapot(draw: Draw) -> Manifold:
     height = radius * draw.uniform("height_ratio", 1.0, 1.9)
     foot = radius * draw.uniform("foot_ratio", 0.5, 0.8)
     neck = radius * draw.uniform("neck_ratio", 0.35, 0.65)
-    line = soften(
-        [(0, 0), (foot, 0), (radius, 0.25 * height), (radius, 0.65 * height), (neck, height)]
-    )
+    side = [(foot, 0), (radius, 0.25 * height), (radius, 0.65 * height), (neck, height)]
+    line = soften([(0, 0), *side])
     body = solid_of(line, 0.002)
     dome = draw.uniform("lid_dome", 0.004, 0.02)
     lid = [(neck, -0.004), (neck, 0.002), (0.6 * neck, dome), (0, dome + 0.001)]
@@ -186,23 +169,15 @@ def teapot(draw: Draw) -> Manifold:
     reach = radius * draw.uniform("spout_reach", 0.4, 0.8)
     start = 0.3 * height
     tip = height * draw.uniform("spout_height", 0.8, 1.1)
-    spout_path = smooth_curve(
-        [
-            (-0.9 * radius, 0, start),
-            (-radius - 0.6 * reach, 0, start + 0.45 * (tip - start)),
-            (-radius - reach, 0, tip),
-        ],
-        14,
-    )
-    spout = tube(spout_path, np.linspace(1.5 * thick, thick, 14), up=(0, 1, 0))
-    grip = draw.uniform("handle_radius", 0.0045, 0.0075)
-    parts = [
-        body,
-        spout,
-        top.translate((0, 0, height)),
-        knob.translate((0, 0, height + dome + 0.006)),
+    knots = [
+        (-0.9 * radius, 0, start),
+        (-radius - 0.6 * reach, 0, start + 0.45 * (tip - start)),
+        (-radius - reach, 0, tip),
     ]
-    return union([*parts, _pot_handle(draw, line, radius, height, grip)])
+    spout = tube(smooth_curve(knots, 14), (1.5 * thick, thick), up=(0, 1, 0))
+    grip = draw.uniform("handle_radius", 0.0045, 0.0075)
+    cover = [top.translate((0, 0, height)), knob.translate((0, 0, height + dome + 0.006))]
+    return union([body, spout, *cover, _pot_handle(draw, line, radius, height, grip)])
 
 
 def _pot_handle(
@@ -211,23 +186,12 @@ def _pot_handle(
     """A handle of thickness `grip` [m] above or beside a pot of this profile [N, 2]."""
     if draw.chance("handle_above", 0.3):
         t = np.linspace(0.1, np.pi - 0.1, 24)
-        path = np.column_stack(
-            [
-                0.8 * radius * np.cos(t),
-                np.zeros(24),
-                0.75 * height + (0.25 * height + 0.95 * radius) * np.sin(t),
-            ]
-        )
+        z = 0.75 * height + (0.25 * height + 0.95 * radius) * np.sin(t)
+        path = np.column_stack([0.8 * radius * np.cos(t), np.zeros(24), z])
         return tube(path, grip, up=(0, 1, 0), corners=14)
-    at = np.interp([0.25 * height, 0.8 * height], line[:, 1], line[:, 0])
-    return ear(
-        (0.95 * at[0], 0.25 * height),
-        (0.95 * at[1], 0.8 * height),
-        draw.uniform("handle_reach", 0.022, 0.04) + grip,
-        draw.uniform("handle_squareness", 0, 1),
-        grip,
-        grip,
-    )
+    reach = draw.uniform("handle_reach", 0.022, 0.04) + grip
+    squareness = draw.uniform("handle_squareness", 0, 1)
+    return side_handle(line, 0.25 * height, 0.8 * height, reach, squareness, grip, grip, 0.95)
 
 
 def controller(draw: Draw) -> Manifold:
@@ -240,34 +204,17 @@ def controller(draw: Draw) -> Manifold:
         reach = draw.uniform("grip_reach", 0.3, 0.7) * depth
         grip = 0.5 * height * draw.uniform("grip_ratio", 0.9, 1.2)
         for side in (-1, 1):
-            path = np.linspace(
-                (side * (0.5 * width - grip), 0, 0.5 * height),
-                (side * (0.5 * width), -0.4 * depth - reach, 0.5 * height),
-                8,
-            )
-            parts.append(
-                tube(
-                    path,
-                    np.linspace(grip, 0.8 * grip, 8),
-                    np.linspace(0.95 * grip, 0.75 * grip, 8),
-                    corners=20,
-                )
-            )
+            root = (side * (0.5 * width - grip), 0, 0.5 * height)
+            path = np.linspace(root, (side * (0.5 * width), -0.4 * depth - reach, 0.5 * height), 8)
+            parts.append(tube(path, (grip, 0.8 * grip), (0.95 * grip, 0.75 * grip), corners=20))
     for index in range(draw.integer("knobs", 1, 4)):
         size = float(draw.rng.uniform(0.004, 0.012))
-        place = draw.rng.uniform(-0.38, 0.38, 2) * [width, depth]
+        x, y = map(float, draw.rng.uniform(-0.38, 0.38, 2) * [width, depth])
         knob = cylinder(size, 0.004 + size, 0.001, segments=22)
-        parts.append(
-            knob.translate((float(place[0]), float(place[1]), height - 0.002 - 1e-4 * index))
-        )
+        parts.append(knob.translate((x, y, height - 0.002 - 1e-4 * index)))
     if draw.chance("lens", 0.35):
-        lens = cylinder(
-            0.45 * min(depth, width),
-            draw.uniform("lens_length", 0.01, 0.05) + height,
-            0.002,
-            segments=40,
-        )
-        parts.append(lens)
+        reach = draw.uniform("lens_length", 0.01, 0.05) + height
+        parts.append(cylinder(0.45 * min(depth, width), reach, 0.002, segments=40))
     return union(parts)
 
 

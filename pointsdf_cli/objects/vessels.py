@@ -19,6 +19,7 @@ from pointsdf_cli.objects.walls import (
     cavity,
     ear,
     shell,
+    side_handle,
     wall_thickness,
 )
 
@@ -29,16 +30,15 @@ def mug(draw: Draw) -> Manifold:
     height = radius * draw.uniform("height_ratio", 1.3, 2.7)
     wall = max(wall_thickness(draw), 0.002)
     foot, belly = draw.uniform("foot_ratio", 0.6, 1.0), draw.uniform("belly_ratio", 0.95, 1.15)
-    line = soften(
-        [
-            (0, 0),
-            (foot * radius, 0),
-            (0.5 * (foot + belly) * radius, 0.2 * height),
-            (belly * radius, 0.5 * height),
-            (radius, 0.8 * height),
-            (radius, height),
-        ]
-    )
+    knots = [
+        (0, 0),
+        (foot * radius, 0),
+        (0.5 * (foot + belly) * radius, 0.2 * height),
+        (belly * radius, 0.5 * height),
+        (radius, 0.8 * height),
+        (radius, height),
+    ]
+    line = soften(knots)
     thick = draw.uniform("handle_radius", 0.0032, 0.006)
     flat = draw.uniform("handle_flatness", 0.8, 1.8)
     reach = draw.uniform("handle_reach", 0.02, 0.035) + thick
@@ -46,15 +46,8 @@ def mug(draw: Draw) -> Manifold:
     high = height * draw.uniform("handle_high", 0.75, 0.9)
     # A loop that a finger, or at least a ray, still passes through.
     high = max(high, low + 4 * thick + 0.008)
-    radius_at = np.interp([low, high], line[:, 1], line[:, 0])
-    handle = ear(
-        (radius_at[0], low),
-        (radius_at[1], high),
-        reach,
-        draw.uniform("handle_squareness", 0, 1),
-        thick,
-        thick * flat,
-    )
+    squareness = draw.uniform("handle_squareness", 0, 1)
+    handle = side_handle(line, low, high, reach, squareness, thick, thick * flat)
     return union([shell(line, wall), handle - cavity(line, wall)])
 
 
@@ -161,31 +154,18 @@ def pan(draw: Draw) -> Manifold:
     height = radius * draw.uniform("height_ratio", 0.3, 1.2)
     wall = draw.log_uniform("wall", 0.0015, 0.004)
     flare = draw.uniform("flare", 0.0, 0.2)
-    line = soften(
-        [
-            (0, 0),
-            (radius * (1 - flare), 0),
-            (radius * (1 - 0.3 * flare), 0.4 * height),
-            (radius, height),
-        ]
-    )
+    foot, middle = radius * (1 - flare), radius * (1 - 0.3 * flare)
+    line = soften([(0, 0), (foot, 0), (middle, 0.4 * height), (radius, height)])
     level = 0.75 * height
     start = float(np.interp(level, line[:, 1], line[:, 0]))
     if draw.chance("long_handle", 0.6):
         reach = draw.uniform("handle", 0.09, 0.17)
         lift = draw.uniform("handle_lift", 0.0, 0.25) * reach
-        path = smooth_curve(
-            [
-                (start, 0, level),
-                (start + reach / 2, 0, level + 0.3 * lift),
-                (start + reach, 0, level + lift),
-            ],
-            12,
-        )
-        grip = np.linspace(
-            draw.uniform("grip_start", 0.003, 0.006), draw.uniform("grip_end", 0.006, 0.011), 12
-        )
-        handles = [tube(path, 0.55 * grip, grip, up=(0, 1, 0))]
+        middle = (start + reach / 2, 0, level + 0.3 * lift)
+        knots = [(start, 0, level), middle, (start + reach, 0, level + lift)]
+        ends = draw.uniform("grip_start", 0.003, 0.006), draw.uniform("grip_end", 0.006, 0.011)
+        grip = np.linspace(*ends, 12)
+        handles = [tube(smooth_curve(knots, 12), 0.55 * grip, grip, up=(0, 1, 0))]
     else:
         span = draw.uniform("loop_span", 0.025, 0.05)
         reach = draw.uniform("loop_reach", 0.018, 0.035)
@@ -253,18 +233,18 @@ def tray(draw: Draw) -> Manifold:
     wall = draw.log_uniform("wall", 0.0015, THICKEST_WALL)
     corner = draw.uniform("corner", 0.002, 0.12 * length)
     draft = draw.uniform("draft", 0.0, 0.2)
-    outer = rounded_box((width, length, 2 * height), min(corner, 0.45 * width, 0.9 * height))
-    room = rounded_box(
-        (width - 2 * wall, length - 2 * wall, 2 * height),
-        max(min(corner, 0.45 * width, 0.9 * height) - wall, 0.0005),
-    )
+    corner = min(corner, 0.45 * width, 0.9 * height)
+    outer = rounded_box((width, length, 2 * height), corner)
+    inside = (width - 2 * wall, length - 2 * wall, 2 * height)
+    room = rounded_box(inside, max(corner - wall, 0.0005))
     box = (outer - room.translate((0, 0, wall))).trim_by_plane((0, 0, -1), -height)
-    # Walls that lean outwards, as anything that is moulded does.
-    return refine(box, length / 8).warp_batch(
-        lambda p: (
-            p * np.column_stack([1 + draft * (p[:, 2:] / height - 0.5)] * 2 + [np.ones(len(p))])
-        )
-    )
+
+    def lean(points: np.ndarray) -> np.ndarray:
+        """Lean the walls outwards, as those of anything that is moulded."""
+        wider = 1 + draft * (points[:, 2] / height - 0.5)
+        return points * np.column_stack([wider, wider, np.ones_like(wider)])
+
+    return refine(box, length / 8).warp_batch(lean)
 
 
 FAMILIES = (

@@ -35,6 +35,24 @@ def wall_thickness(draw: Draw) -> float:
     return draw.log_uniform("wall", THINNEST_WALL, THICKEST_WALL)
 
 
+def side_handle(
+    line: np.ndarray,
+    low: float,
+    high: float,
+    reach: float,
+    squareness: float,
+    half_width: float,
+    half_height: float,
+    sunk: float = 1.0,
+) -> Manifold:
+    """An `ear` at the side of a vessel with centre line [N, 2], between two heights [m].
+
+    Its ends are at `sunk` times the radius of the line there.
+    """
+    start, end = sunk * np.interp([low, high], line[:, 1], line[:, 0])
+    return ear((start, low), (end, high), reach, squareness, half_width, half_height)
+
+
 def ear(
     low: tuple[float, float],
     high: tuple[float, float],
