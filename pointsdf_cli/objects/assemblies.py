@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
@@ -34,22 +36,12 @@ def furniture(draw: Draw) -> Manifold:
         plate = cylinder(0.5 * min(width, depth), seat, 0.3 * seat, segments=44)
         depth = width = 0.8 * min(width, depth)
     parts = [plate.translate((0, 0, leg_height))]
-    for x in (-1, 1):
-        for y in (-1, 1):
-            head = np.array(
-                [x * (width / 2 - 1.5 * leg), y * (depth / 2 - 1.5 * leg), leg_height + 0.5 * seat]
-            )
-            foot = head * [1 + splay, 1 + splay, 0]
-            parts.append(
-                tube(
-                    np.linspace(foot, head, 4),
-                    leg,
-                    up=(0, 1, 0),
-                    corners=12,
-                    exponent=2.5,
-                    round_ends=False,
-                )
-            )
+    for x, y in itertools.product((-1, 1), repeat=2):
+        place = x * (width / 2 - 1.5 * leg), y * (depth / 2 - 1.5 * leg)
+        head = np.array([*place, leg_height + 0.5 * seat])
+        path = np.linspace(head * [1 + splay, 1 + splay, 0], head, 4)
+        rod = tube(path, leg, up=(0, 1, 0), corners=12, exponent=2.5, round_ends=False)
+        parts.append(rod)
     if draw.chance("back", 0.5):
         back = rounded_box((width * 0.9, 1.3 * seat, leg_height), 0.3 * seat)
         parts.append(back.translate((0, depth / 2 - 1.3 * seat, leg_height + 0.4 * seat)))
@@ -63,24 +55,21 @@ def assembly(draw: Draw) -> Manifold:
     centres = [np.zeros(3)]
     for _ in range(draw.integer("parts", 2, 5)):
         extent = size * draw.rng.uniform(0.35, 1.2, 3)
+        (a, b, c), shortest = map(float, extent), float(extent.min())
         form = int(draw.rng.integers(5))
         if form == 0:
-            part = rounded_box(2 * extent, 0.2 * extent.min()).translate((0, 0, -float(extent[2])))
+            part = centred(rounded_box(2 * extent, 0.2 * shortest), 2 * c)
         elif form == 1:
-            part = cylinder(
-                float(extent[0]), float(2 * extent[2]), 0.15 * float(extent.min())
-            ).translate((0, 0, -float(extent[2])))
+            part = centred(cylinder(a, 2 * c, 0.15 * shortest), 2 * c)
         elif form == 2:
             part = ellipsoid(extent, segments=32)
         elif form == 3:
-            z = np.linspace(-extent[2], extent[2], 12)
-            shape = extent[0] * smooth_steps(
-                [-1, 0, 1], draw.rng.uniform(0.3, 1.0, 3), z / extent[2]
-            )
-            part = loft_sections(z, shape, shape * extent[1] / extent[0], 2 + 3 * draw.rng.random())
+            z = np.linspace(-c, c, 12)
+            shape = a * smooth_steps([-1, 0, 1], draw.rng.uniform(0.3, 1.0, 3), z / c)
+            part = loft_sections(z, shape, shape * b / a, 2 + 3 * draw.rng.random())
         else:
-            section = CrossSection.circle(float(extent[0]), int(draw.rng.integers(3, 9)))
-            part = bevelled(section, float(1.5 * extent[2]), 0.1 * float(extent.min()))
+            section = CrossSection.circle(a, int(draw.rng.integers(3, 9)))
+            part = bevelled(section, 1.5 * c, 0.1 * shortest)
         turn_by = random_rotation(draw.rng, 1)[0] if draw.rng.random() < 0.5 else np.eye(3)
         base = centres[int(draw.rng.integers(len(centres)))]
         step = draw.rng.normal(size=3)

@@ -66,9 +66,8 @@ def apple(draw: Draw) -> Manifold:
     reach = radius * flatness * (1 + lean)
     bend = draw.uniform("stem_bend", -0.3, 0.3) * radius
     thick = draw.uniform("stem_radius", 0.0015, 0.003)
-    path = smooth_curve(
-        [(0, 0, (1 - top) * reach - 0.15 * radius), (0, 0, 0.98 * reach), (bend, 0, 1.2 * reach)], 8
-    )
+    root = (0, 0, (1 - top) * reach - 0.15 * radius)
+    path = smooth_curve([root, (0, 0, 0.98 * reach), (bend, 0, 1.2 * reach)], 8)
     return union([fruit, tube(path, thick, up=(0, 1, 0), corners=8)])
 
 
@@ -85,9 +84,8 @@ def pear(draw: Draw) -> Manifold:
     path = np.column_stack([length * t, np.zeros((38, 2))])
     body = tube(path, np.sqrt(squared), corners=32, round_ends=False)
     if draw.chance("stem", 0.6):
-        path = smooth_curve(
-            [(0.97 * length, 0, 0), (1.06 * length, 0, 0.002), (1.16 * length, 0, 0.006)], 8
-        )
+        knots = [(0.97 * length, 0, 0), (1.06 * length, 0, 0.002), (1.16 * length, 0, 0.006)]
+        path = smooth_curve(knots, 8)
         body = union([body, tube(path, draw.uniform("stem_radius", 0.0015, 0.0028), corners=8)])
     return body
 
@@ -167,9 +165,8 @@ def banana(draw: Draw) -> Manifold:
     angle = sweep * (t - 0.5)
     bow = length / sweep
     path = np.column_stack([bow * np.sin(angle), bow * np.cos(angle), np.zeros_like(t)])
-    swell = smooth_steps(
-        [0, 0.06, 0.2, 0.5, 0.8, 0.9, 1], [0.35, 0.6, 0.9, 1, 0.8, stalk, stalk], t
-    )
+    widths = [0.35, 0.6, 0.9, 1, 0.8, stalk, stalk]
+    swell = smooth_steps([0, 0.06, 0.2, 0.5, 0.8, 0.9, 1], widths, t)
     return tube(path, radius * swell, radius * swell * draw.uniform("girth", 0.88, 1.0), corners=12)
 
 
@@ -183,22 +180,9 @@ def cucumber(draw: Draw) -> Manifold:
     angle = sweep * (t - 0.5)
     bow = length / sweep
     path = np.column_stack([bow * np.sin(angle), bow * (np.cos(angle) - 1), np.zeros_like(t)])
-    swell = smooth_steps(
-        [0, 0.04, 0.12, 0.3, 0.6, 0.9, 0.97, 1],
-        np.array(
-            [
-                0.3 * blossom,
-                0.7 * blossom,
-                0.95 * blossom,
-                1,
-                (1 + stem) / 2,
-                stem,
-                0.7 * stem,
-                0.3 * stem,
-            ]
-        ),
-        t,
-    )
+    at = [0, 0.04, 0.12, 0.3, 0.6, 0.9, 0.97, 1]
+    ends = 0.3 * blossom, 0.7 * blossom, 0.95 * blossom, stem, 0.7 * stem, 0.3 * stem
+    swell = smooth_steps(at, [*ends[:3], 1, (1 + stem) / 2, *ends[3:]], t)
     return tube(path, radius * swell, corners=20)
 
 

@@ -6,7 +6,15 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, stroke
+from pointsdf_cli.objects.sections import (
+    arc,
+    ellipse,
+    polygon,
+    rounded,
+    smooth_curve,
+    smooth_steps,
+    stroke,
+)
 from pointsdf_cli.objects.solids import bevelled, centred, cylinder, rounded_box, tube, union
 
 
@@ -26,11 +34,8 @@ def wrench(draw: Draw) -> Manifold:
             continue
         outline += CrossSection.circle(size, 32).translate((0, end))
         if kind == "ring":
-            cuts.append(
-                CrossSection.circle(
-                    0.62 * size, draw.choice(f"{name}_corners", (6, 12, 24))
-                ).translate((0, end))
-            )
+            corners = draw.choice(f"{name}_corners", (6, 12, 24))
+            cuts.append(CrossSection.circle(0.62 * size, corners).translate((0, end)))
         else:
             jaw = 2 * size * draw.uniform(f"{name}_jaw", 0.4, 0.55)
             slot = CrossSection.square((jaw, 2 * size), True).translate((0, outwards * 0.95 * size))
@@ -38,9 +43,8 @@ def wrench(draw: Draw) -> Manifold:
             cuts.append(slot.rotate(tilt).translate((0, end)))
     if cuts:
         outline -= CrossSection.batch_boolean(cuts, OpType.Add)
-    return bevelled(
-        rounded(outline, 0.0008, 0.002), thickness, draw.uniform("bevel", 0.0003, 0.002)
-    )
+    bevel = draw.uniform("bevel", 0.0003, 0.002)
+    return bevelled(rounded(outline, 0.0008, 0.002), thickness, bevel)
 
 
 def scissors(draw: Draw) -> Manifold:
@@ -54,38 +58,33 @@ def scissors(draw: Draw) -> Manifold:
     loop_wide = loop_long * draw.uniform("loop_ratio", 0.55, 0.85)
     rim = draw.uniform("loop_radius", 0.003, 0.0055)
     handle = length - blade - loop_long
+    edge = [
+        (-0.2 * width, -0.2 * width),
+        (0.62 * width, -0.1 * width),
+        (0.5 * width, 0.7 * blade),
+        (0.06 * width, blade),
+        (-0.12 * width, 0.7 * blade),
+    ]
+    x, y = -0.75 * loop_wide - 0.25 * width, -handle - 0.7 * loop_long
+    loop = ellipse(loop_wide, loop_long, 28) + [x, y, 0]
+    join = (x + 0.55 * loop_wide, y + 0.86 * loop_long, 0)
+    knots = [(0.1 * width, 0.1 * width, 0), (-0.1 * width, -0.5 * handle, 0), join]
     halves = []
     for side in (-1.0, 1.0):
-        edge = [
-            (-0.2 * width, -0.2 * width),
-            (0.62 * width, -0.1 * width),
-            (0.5 * width, 0.7 * blade),
-            (0.06 * width, blade),
-            (-0.12 * width, 0.7 * blade),
-        ]
         plate = centred(bevelled(rounded(polygon(edge), 0.0008), thickness, 0.0005), thickness)
-        t = np.linspace(0, 2 * np.pi, 28, endpoint=False)
-        centre = (-0.75 * loop_wide - 0.25 * width, -handle - 0.7 * loop_long)
-        ring_path = np.column_stack(
-            [centre[0] + loop_wide * np.cos(t), centre[1] + loop_long * np.sin(t), np.zeros_like(t)]
-        )
-        ring = tube(ring_path, rim, 0.8 * rim + 0.5 * thickness, closed=True, corners=12)
-        join = centre[0] + 0.55 * loop_wide, centre[1] + 0.86 * loop_long
-        shank = tube(
-            smooth_curve(
-                [(0.1 * width, 0.1 * width, 0), (-0.1 * width, -0.5 * handle, 0), (*join, 0)], 10
-            ),
-            np.linspace(0.38 * width, 1.1 * rim, 10),
-            0.5 * thickness + 0.4 * rim,
-            exponent=2.5,
-        )
-        half = union([plate, ring, shank])
-        if side > 0:
-            half = half.mirror((1, 0, 0))
-        lift = 0.24 * thickness * side
-        halves.append(half.rotate((0, 0, side * np.degrees(opening) / 2)).translate((0, 0, lift)))
+        ring = tube(loop, rim, 0.8 * rim + 0.5 * thickness, closed=True, corners=12)
+        girth, high = (0.38 * width, 1.1 * rim), 0.5 * thickness + 0.4 * rim
+        shank = tube(smooth_curve(knots, 10), girth, high, exponent=2.5)
+        half = _turned(union([plate, ring, shank]), side, np.degrees(opening) / 2)
+        halves.append(half.translate((0, 0, 0.24 * thickness * side)))
     pivot = cylinder(0.35 * width, 2.2 * thickness, 0.0006, segments=20)
     return union([*halves, centred(pivot, 2.2 * thickness)])
+
+
+def _turned(half: Manifold, side: float, angle: float) -> Manifold:
+    """Half of a tool turned by an angle [°] to its side, -1 or 1; mirrored for the latter."""
+    mirrored = half.mirror((1, 0, 0)) if side > 0 else half
+    return mirrored.rotate((0, 0, side * angle))
 
 
 def pliers(draw: Draw) -> Manifold:
@@ -97,31 +96,24 @@ def pliers(draw: Draw) -> Manifold:
     grip = draw.uniform("grip_radius", 0.005, 0.009)
     bow = draw.uniform("bow", 0.4, 1.2)
     opening = draw.uniform("opening", 0.0, 0.2)
+    knots = [
+        (0.0, 0.0, 0),
+        (-0.55 * gap, -0.15 * length, 0),
+        (-gap * (0.7 + 0.3 * bow), -0.42 * (length - jaw), 0),
+        (-gap, -(length - jaw), 0),
+    ]
+    nose = [
+        (-0.9 * grip, -grip),
+        (1.6 * grip, -grip),
+        (1.6 * grip, 0.3 * jaw),
+        (0.5 * grip, jaw),
+        (-0.05 * grip, jaw),
+    ]
     levers = []
     for side in (-1.0, 1.0):
-        path = smooth_curve(
-            [
-                (0.0, 0.0, 0),
-                (-0.55 * gap, -0.15 * length, 0),
-                (-gap * (0.7 + 0.3 * bow), -0.42 * (length - jaw), 0),
-                (-gap, -(length - jaw), 0),
-            ],
-            18,
-        )
-        lever = tube(
-            path, np.linspace(1.2 * grip, grip, 18), np.linspace(0.5 * thickness, grip, 18)
-        )
-        nose = [
-            (-0.9 * grip, -grip),
-            (1.6 * grip, -grip),
-            (1.6 * grip, 0.3 * jaw),
-            (0.5 * grip, jaw),
-            (-0.05 * grip, jaw),
-        ]
+        lever = tube(smooth_curve(knots, 18), (1.2 * grip, grip), (0.5 * thickness, grip))
         plate = centred(bevelled(rounded(polygon(nose), 0.001), thickness, 0.001), thickness)
-        half = union([lever, plate])
-        half = half.mirror((1, 0, 0)) if side > 0 else half
-        levers.append(half.rotate((0, 0, -side * np.degrees(opening) / 2)))
+        levers.append(_turned(union([lever, plate]), side, -np.degrees(opening) / 2))
     hinge = cylinder(1.9 * grip, 1.3 * thickness, 0.001, segments=28)
     return union([*levers, centred(hinge, 1.3 * thickness)])
 
@@ -142,19 +134,14 @@ def spring_clamp(draw: Draw) -> Manifold:
         end = np.array([-grip_length * np.cos(spread / 2), side * grip_length * np.sin(spread / 2)])
         bulge = np.array([0.45 * jaw, side * (0.5 * jaw * np.sin(opening / 2) + 1.3 * bar)])
         root = np.array([0.0, side * 1.1 * bar])
-        knee = np.array(
-            [-0.35 * grip_length, side * (0.4 * grip_length * np.sin(spread / 2) + 0.9 * bar)]
-        )
+        out = 0.4 * grip_length * np.sin(spread / 2) + 0.9 * bar
+        knee = np.array([-0.35 * grip_length, side * out])
         line = smooth_curve([tip, bulge, root, knee, end], 18)
-        girth = smooth_steps(
-            [0, 0.15, 0.45, 0.6, 1],
-            np.array([0.6, 1.0, 1.5, 1.3, 1.0]) * bar,
-            np.linspace(0, 1, 18),
-        )
+        at, widths = [0, 0.15, 0.45, 0.6, 1], np.array([0.6, 1.0, 1.5, 1.3, 1.0]) * bar
+        girth = smooth_steps(at, widths, np.linspace(0, 1, 18))
         plate = centred(bevelled(stroke(line, 1.4 * girth), width, 0.12 * width), width)
         if hollow:
-            channel = stroke(line[11:17], 0.75 * girth[11:17]).extrude(0.62 * width)
-            plate -= channel
+            plate -= stroke(line[11:17], 0.75 * girth[11:17]).extrude(0.62 * width)
         pad = centred(rounded_box((1.6 * bar, 0.9 * bar, 0.9 * width), 0.2 * bar), 0.9 * width)
         pad = pad.rotate((0, 0, float(side * np.degrees(opening) / 2)))
         inward = tip - side * np.array([0.4 * bar, 0.35 * bar])
@@ -177,20 +164,15 @@ def c_clamp(draw: Draw) -> Manifold:
     tail = draw.uniform("tail", 0.02, 0.06)
     # The screw runs along y from its foot inside the throat to the crossbar outside.
     start, end = -throat / 2 + travel, throat / 2 + bar / 2 + tail
-    rod = cylinder(screw, end - start, segments=16).rotate((-90, 0, 0)).translate((0, start, 0))
-    foot = (
-        cylinder(1.9 * screw, 0.007, 0.001, segments=24)
-        .rotate((-90, 0, 0))
-        .translate((0, start - 0.003, 0))
+    along_y = (
+        (cylinder(screw, end - start, segments=16), start),
+        (cylinder(1.9 * screw, 0.007, 0.001, segments=24), start - 0.003),
+        (cylinder(0.62 * bar, 1.5 * bar, 0.001, segments=24), throat / 2 - 0.75 * bar),
     )
-    boss = (
-        cylinder(0.62 * bar, 1.5 * bar, 0.001, segments=24)
-        .rotate((-90, 0, 0))
-        .translate((0, throat / 2 - 0.75 * bar, 0))
-    )
+    turned = [solid.rotate((-90, 0, 0)).translate((0, y, 0)) for solid, y in along_y]
     reach = draw.uniform("crossbar", 0.015, 0.035)
     cross = centred(cylinder(0.55 * screw, 2 * reach, segments=12), 2 * reach, (0, 90, 0))
-    return union([body, rod, foot, boss, cross.translate((0, end - screw, 0))])
+    return union([body, *turned, cross.translate((0, end - screw, 0))])
 
 
 def key(draw: Draw) -> Manifold:
@@ -199,16 +181,12 @@ def key(draw: Draw) -> Manifold:
     length = draw.uniform("length", 0.03, 0.11)
     bar = head * draw.uniform("bar_ratio", 0.3, 0.8)
     thickness = draw.uniform("thickness", 0.0025, 0.008)
-    outline = CrossSection.circle(head, draw.choice("head_corners", (6, 8, 40))) + stroke(
-        [(0, 0), (length, 0)], bar
-    )
+    outline = CrossSection.circle(head, draw.choice("head_corners", (6, 8, 40)))
+    outline += stroke([(0, 0), (length, 0)], bar)
     if draw.chance("hook", 0.35):
-        turn_radius = 1.4 * bar
-        outline += stroke(
-            arc(turn_radius, -np.pi / 2, np.pi / 2, 12, (length, turn_radius)), 0.8 * bar
-        )
-    teeth = draw.integer("teeth", 0, 4)
-    for tooth in range(teeth):
+        bend = arc(1.4 * bar, -np.pi / 2, np.pi / 2, 12, (length, 1.4 * bar))
+        outline += stroke(bend, 0.8 * bar)
+    for tooth in range(draw.integer("teeth", 0, 4)):
         place = length * (0.6 + 0.12 * tooth)
         outline += CrossSection.square((0.06 * length, bar), True).translate((place, -0.6 * bar))
     hole = CrossSection.circle(head * draw.uniform("hole_ratio", 0.25, 0.6), 20)

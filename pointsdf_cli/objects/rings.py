@@ -7,7 +7,7 @@ from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import rounded
+from pointsdf_cli.objects.sections import ellipse, rounded
 from pointsdf_cli.objects.solids import bevelled, tube, turn, union
 
 
@@ -22,8 +22,7 @@ def paper_roll(draw: Draw) -> Manifold:
     inner = draw.uniform("inner", 0.016, min(0.026, 0.6 * outer))
     height = outer * draw.uniform("height_ratio", 1.4, 4.2)
     roll = _annulus(outer, inner, height, draw.uniform("edge", 0.0005, 0.006))
-    oval = draw.uniform("oval", 0.85, 1.0)
-    roll = roll.scale((1, oval, 1))
+    roll = roll.scale((1, draw.uniform("oval", 0.85, 1.0), 1))
     return roll.rotate((90, 0, 0)) if draw.chance("lies", 0.4) else roll
 
 
@@ -47,10 +46,11 @@ def doughnut(draw: Draw) -> Manifold:
     flat = draw.uniform("flatness", 0.7, 1.3)
     lumps, depth = draw.integer("lumps", 2, 9), draw.uniform("lump_depth", 0.0, 0.1)
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    path = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     swell = thick * (1 + depth * np.cos(lumps * angle)) / (1 + depth)
     power = draw.uniform("section", 1.8, 3.2)
-    return tube(path, swell, flat * thick, closed=True, corners=22, exponent=power)
+    return tube(
+        ellipse(radius, radius, 48), swell, flat * thick, closed=True, corners=22, exponent=power
+    )
 
 
 def chain(draw: Draw) -> Manifold:
@@ -59,9 +59,7 @@ def chain(draw: Draw) -> Manifold:
     wire = draw.uniform("wire", 0.0022, 0.0048)
     long = wire * draw.uniform("link_ratio", 4.2, 6.0)
     wide = long * draw.uniform("width_ratio", 0.42, 0.66)
-    angle = np.linspace(0, 2 * np.pi, 22, endpoint=False)
-    oval = np.column_stack([long * np.cos(angle), wide * np.sin(angle), np.zeros_like(angle)])
-    link = tube(oval, wire, closed=True, corners=10, up=(0, 0, 1))
+    link = tube(ellipse(long, wide, 22), wire, closed=True, corners=10, up=(0, 0, 1))
     # Overlapping by a little less than two wires: neighbours sink into each other and are one body.
     pitch = 2 * (long - 0.75 * wire)
     heading, place, parts = 0.0, np.zeros(3), []
@@ -109,16 +107,11 @@ def ring_stack(draw: Draw) -> Manifold:
     for index in range(count):
         size = base * (0.95 - (0.95 - 0.9 * taper) * index / count)
         bow = np.linspace(-np.pi / 2, np.pi / 2, 7)
-        profile += [
-            (size - thick + thick * np.cos(a), level + thick * (1 + np.sin(a))) for a in bow
-        ]
+        x, z = size - thick + thick * np.cos(bow), level + thick * (1 + np.sin(bow))
+        profile += zip(x, z, strict=True)
         level += 2 * thick
-    profile += [
-        (0.3 * base * taper, level),
-        (0.25 * base * taper, level + 0.012),
-        (0.0, level + 0.014),
-    ]
-    return turn(profile, fillet=0.0006)
+    tip = [(0.3 * base * taper, level), (0.25 * base * taper, level + 0.012), (0, level + 0.014)]
+    return turn([*profile, *tip], fillet=0.0006)
 
 
 def wire_shape(draw: Draw) -> Manifold:
@@ -127,9 +120,8 @@ def wire_shape(draw: Draw) -> Manifold:
     size = draw.uniform("size", 0.035, 0.12)
     thick = size * draw.uniform("thickness_ratio", 0.04, 0.1)
     closed = draw.chance("closed", 0.5)
-    angle = np.linspace(
-        0, 2 * np.pi if closed else draw.uniform("turn", 3.2, 5.4), 64, endpoint=not closed
-    )
+    turned = 2 * np.pi if closed else draw.uniform("turn", 3.2, 5.4)
+    angle = np.linspace(0, turned, 64, endpoint=not closed)
     wobble = sum(
         draw.rng.normal() * 0.25 / order**1.2 * np.cos(order * angle + draw.rng.uniform(0, 6.28))
         for order in range(2, count)
@@ -145,9 +137,7 @@ def tilted_rings(draw: Draw) -> Manifold:
     """Two or three crossed hoops: puzzle rings, armillary toys, ball frames."""
     radius = draw.uniform("radius", 0.025, 0.06)
     wire = radius * draw.uniform("wire_ratio", 0.07, 0.16)
-    angle = np.linspace(0, 2 * np.pi, 44, endpoint=False)
-    circle = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    hoop = tube(circle, wire, closed=True, corners=12)
+    hoop = tube(ellipse(radius, radius, 44), wire, closed=True, corners=12)
     turns = random_rotation(draw.rng, draw.integer("hoops", 2, 3))
     return union([hoop.transform(np.column_stack([turn_by, np.zeros(3)])) for turn_by in turns])
 

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import smooth_steps
+from pointsdf_cli.objects.sections import ellipse, smooth_steps
 from pointsdf_cli.objects.solids import bevelled, cylinder, loft_sections, rounded_box, turn, union
 
 
@@ -86,12 +86,10 @@ def spray_can(draw: Draw) -> Manifold:
     neck = radius * draw.uniform("neck_ratio", 0.45, 0.75)
     dome = radius * draw.uniform("dome_ratio", 0.3, 0.7)
     angle = np.linspace(0, np.pi / 2, 7)
-    shoulder = np.column_stack(
-        [neck + (radius - neck) * np.cos(angle), body + dome * np.sin(angle)]
-    )
-    can_profile = [(radius - 0.004, 0.003), (radius - 0.003, 0), (radius, 0)]
+    x, z = neck + (radius - neck) * np.cos(angle), body + dome * np.sin(angle)
+    foot = [(radius - 0.004, 0.003), (radius - 0.003, 0), (radius, 0)]
+    solid = turn([*foot, *np.column_stack([x, z])], fillet=0.0006)
     top = body + dome
-    solid = turn([*can_profile, *shoulder], fillet=0.0006)
     if draw.chance("cap", 0.55):
         cap = radius * draw.uniform("cap_ratio", 0.8, 0.98)
         length = draw.uniform("cap_length", 0.02, 0.05)
@@ -123,9 +121,8 @@ def jar(draw: Draw) -> Manifold:
     if draw.chance("knurled", 0.4):
         ridges = draw.integer("ridges", 24, 40)
         groove = cylinder(0.0012, lid_height * 0.7, segments=8)
-        places = np.linspace(0, 2 * np.pi, ridges, endpoint=False)
-        around = lid_radius * np.column_stack([np.cos(places), np.sin(places)])
-        lid -= union([groove.translate((float(x), float(y), -1e-4)) for x, y in around])
+        places = ellipse(lid_radius, lid_radius, ridges) - [0, 0, 1e-4]
+        lid -= union([groove.translate(tuple(place)) for place in places])
     return union([body, lid.translate((0, 0, height - 0.35 * lid_height))])
 
 

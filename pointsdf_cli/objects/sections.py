@@ -76,6 +76,12 @@ def arc(
     return np.asarray(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+def ellipse(half_x: float, half_y: float, count: int) -> np.ndarray:
+    """Points [count, 3] around an ellipse in the plane z = 0, m."""
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return np.column_stack([half_x * np.cos(angle), half_y * np.sin(angle), np.zeros(count)])
+
+
 def soften(points: Points, passes: int = 3) -> np.ndarray:
     """Cut the corners of an open polyline [N, D], ends kept (Chaikin)."""
     points = np.asarray(points, dtype=float)

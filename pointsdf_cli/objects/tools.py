@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import smooth_curve, smooth_steps
+from pointsdf_cli.objects.sections import ellipse, smooth_curve, smooth_steps
 from pointsdf_cli.objects.solids import (
     centred,
     cylinder,
@@ -31,15 +31,13 @@ def hammer(draw: Draw) -> Manifold:
     grip = draw.uniform("grip_radius", 0.010, 0.018)
     neck = grip * draw.uniform("neck_ratio", 0.5, 0.95)
     at = np.linspace(0, length, 16)
-    width = smooth_steps(
-        [0, 0.08, 0.35, 0.55, 1.0], [0.9, 1.0, 0.85, neck / grip, neck / grip], at / length
-    )
+    widths = [0.9, 1.0, 0.85, neck / grip, neck / grip]
+    width = smooth_steps([0, 0.08, 0.35, 0.55, 1.0], widths, at / length)
     path = np.column_stack([np.zeros_like(at), at, np.zeros_like(at)])
     handle = tube(path, grip * width, grip * width * draw.uniform("grip_flatness", 0.65, 1.0))
     face = draw.uniform("face_radius", 0.010, 0.03)
     half = draw.uniform("head_half_length", 0.03, 0.065)
     form = draw.choice("form", ("claw", "claw", "mallet", "peen", "sledge"))
-    top = length - 0.4 * face
     if form == "mallet":
         drum = cylinder(1.2 * face, 2 * half, draw.uniform("drum_edge", 0.001, 0.006))
         head = centred(drum, 2 * half, (0, 90, 0))
@@ -50,13 +48,12 @@ def hammer(draw: Draw) -> Manifold:
         profile = [(face, 0), (face, 0.3 * half), (0.65 * face, 0.45 * half), (0.75 * face, half)]
         head = centred(turn(profile, fillet=0.001, segments=32), 2 * half, (0, 90, 0))
         block = rounded_box((1.9 * face, 1.7 * face, 1.7 * face), 0.3 * face)
-        parts = [head, centred(block, 1.7 * face)]
         if form == "peen":
-            parts.append(Manifold.sphere(0.85 * face, 24).translate((1.25 * face, 0, 0)))
+            back = Manifold.sphere(0.85 * face, 24).translate((1.25 * face, 0, 0))
         else:
-            parts.append(_claw(draw, face, half))
-        head = union(parts)
-    return union([handle, head.translate((0, top, 0))])
+            back = _claw(draw, face, half)
+        head = union([head, centred(block, 1.7 * face), back])
+    return union([handle, head.translate((0, length - 0.4 * face, 0))])
 
 
 def _claw(draw: Draw, face: float, half: float) -> Manifold:
@@ -66,17 +63,13 @@ def _claw(draw: Draw, face: float, half: float) -> Manifold:
     reach = half * draw.uniform("claw_reach", 1.0, 1.5)
     prongs = []
     for side in (-1.0, 1.0):
-        path = smooth_curve(
-            [
-                (0.2 * face, 0, 0.35 * side * spread),
-                (0.5 * reach, -0.15 * drop, 0.7 * side * spread),
-                (reach, -drop, 1.2 * side * spread),
-            ],
-            12,
-        )
-        thick = np.linspace(0.42 * face, 0.12 * face, 12)
-        wide = np.linspace(0.5 * face, 0.28 * face, 12)
-        prongs.append(tube(path, thick, wide, exponent=3.0))
+        knots = [
+            (0.2 * face, 0, 0.35 * side * spread),
+            (0.5 * reach, -0.15 * drop, 0.7 * side * spread),
+            (reach, -drop, 1.2 * side * spread),
+        ]
+        thick, wide = (0.42 * face, 0.12 * face), (0.5 * face, 0.28 * face)
+        prongs.append(tube(smooth_curve(knots, 12), thick, wide, exponent=3.0))
     return union(prongs)
 
 
@@ -88,33 +81,22 @@ def screwdriver(draw: Draw) -> Manifold:
     shaft_length = draw.uniform("shaft_length", 0.05, 0.18)
     waist = draw.uniform("waist", 0.55, 0.95)
     z = np.linspace(0, handle_length, 24)
-    shape = grip * smooth_steps(
-        [0, 0.03, 0.12, 0.55, 0.8, 0.93, 1.0],
-        [0.6, 0.85, 1.0, 0.95, waist, 0.95 * waist + 0.03, 0.5 * waist],
-        z / handle_length,
-    )
+    at = [0, 0.03, 0.12, 0.55, 0.8, 0.93, 1.0]
+    radii = [0.6, 0.85, 1.0, 0.95, waist, 0.95 * waist + 0.03, 0.5 * waist]
+    shape = grip * smooth_steps(at, radii, z / handle_length)
     handle = loft_sections(z, shape, shape, corners=36)
     flutes = draw.integer("flutes", 0, 8)
     if flutes >= 3:
-        groove = cylinder(
-            grip * draw.uniform("flute_ratio", 0.18, 0.35), 0.6 * handle_length, segments=14
-        )
-        angles = np.linspace(0, 2 * np.pi, flutes, endpoint=False)
-        out = 1.12 * grip
-        handle -= union(
-            [
-                groove.translate((out * np.cos(a), out * np.sin(a), 0.12 * handle_length))
-                for a in angles
-            ]
-        )
+        flute = grip * draw.uniform("flute_ratio", 0.18, 0.35)
+        groove = cylinder(flute, 0.6 * handle_length, segments=14)
+        places = ellipse(1.12 * grip, 1.12 * grip, flutes) + [0, 0, 0.12 * handle_length]
+        handle -= union([groove.translate(tuple(place)) for place in places])
     rod = cylinder(shaft, shaft_length + 0.01, segments=20).translate((0, 0, handle_length - 0.01))
     end = handle_length + shaft_length
-    tip = draw.choice("tip", tuple(_TIPS))
-    wide, deep, exponent, corners = _TIPS[tip]
-    zt = np.array([-0.004, 0.0, 0.009, 0.012])
-    point = loft_sections(
-        zt + end, shaft * np.array(wide), shaft * np.array(deep), exponent, corners
-    )
+    *sides, exponent, corners = _TIPS[draw.choice("tip", tuple(_TIPS))]
+    wide, deep = shaft * np.array(sides)
+    z = np.array([-0.004, 0.0, 0.009, 0.012]) + end
+    point = loft_sections(z, wide, deep, exponent, corners)
     return union([handle, rod, point]).rotate((0, 90, 0))
 
 
@@ -127,9 +109,8 @@ def power_drill(draw: Draw) -> Manifold:
     grip = radius * draw.uniform("grip_ratio", 0.55, 0.75)
     rake = draw.uniform("rake", -0.1, 0.35)
     z = np.linspace(0, length, 20)
-    shape = radius * smooth_steps(
-        [0, 0.05, 0.2, 0.7, 0.9, 1], [0.6, 0.85, 1, 1, 0.85, 0.7], z / length
-    )
+    at, radii = [0, 0.05, 0.2, 0.7, 0.9, 1], [0.6, 0.85, 1, 1, 0.85, 0.7]
+    shape = radius * smooth_steps(at, radii, z / length)
     # Built with the bore along x and the grip along −y; it lies with its flat side down.
     deep = shape * draw.uniform("motor_flatness", 0.85, 1.1)
     motor = loft_sections(z, shape, deep, 2.6).rotate((0, 90, 0))
@@ -173,15 +154,10 @@ def brush(draw: Draw) -> Manifold:
         return union([handle, block.translate((length - 0.5 * tuft, 0, 0))]).rotate((90, 0, 0))
     z = np.array([0.0, 0.15, 0.3, 0.9, 1.0]) * tuft * 1.8
     fan = draw.uniform("fan", 0.9, 1.6)
-    head = loft_sections(
-        z,
-        tuft * 0.4 * np.array([0.9, 1.0, 1.0, fan, 0.85 * fan]),
-        grip * np.array([0.8, 0.9, 0.9, 0.8, 0.5]),
-        4.0,
-    )
-    return union(
-        [handle, head.rotate((0, 0, 90)).rotate((0, 90, 0)).translate((length - 0.01, 0, 0))]
-    )
+    wide = tuft * 0.4 * np.array([0.9, 1.0, 1.0, fan, 0.85 * fan])
+    deep = grip * np.array([0.8, 0.9, 0.9, 0.8, 0.5])
+    head = loft_sections(z, wide, deep, 4.0).rotate((0, 0, 90)).rotate((0, 90, 0))
+    return union([handle, head.translate((length - 0.01, 0, 0))])
 
 
 FAMILIES = (
