@@ -84,4 +84,4 @@ def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
     if theirs == config:
         return True
     changed = changed_options(theirs if isinstance(theirs, Mapping) else {}, config)
-    raise OptionsDifferError.of_file(out, ", ".join(changed))
+    raise OptionsDifferError.of_file(out, f"was made with other options ({', '.join(changed)})")

@@ -30,13 +30,10 @@ class OptionsDifferError(InputError):
     """A finished artifact was made with other options: the user must decide, so a stage stops."""
 
     @classmethod
-    def of_file(cls, path: Path, differences: str) -> OptionsDifferError:
-        """The error for a file, with the options that differ in words."""
-        return cls(
-            f"was made with other options ({differences})",
-            where=path,
-            hint="choose another --out, or add --force to replace it",
-        )
+    def of_file(cls, path: Path, what: str) -> OptionsDifferError:
+        """The error for a file that `what` is said of."""
+        hint = "choose another --out, or add --force to replace it"
+        return cls(what, where=path, hint=hint)
 
 
 def changed_options(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
@@ -268,7 +265,7 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
     if theirs != ours:
         changed = changed_options(theirs, ours)
         differences = ", ".join(f"{k}: {theirs.get(k)} there, {ours.get(k)} now" for k in changed)
-        raise OptionsDifferError.of_file(path, differences)
+        raise OptionsDifferError.of_file(path, f"was made with other options ({differences})")
     return True
 
 

@@ -57,15 +57,14 @@ def download(url: str, path: Path, patience: Patience | None = None) -> str:
     failures = 0
     with httpx.Client(timeout=patience.timeout, follow_redirects=True) as client:
         while True:
-            before = part.stat().st_size if part.exists() else 0
+            before = _size(part)
             try:
                 _fetch_rest(client, url, part, tag, patience.largest)
                 break
             except (httpx.InvalidURL, httpx.UnsupportedProtocol, httpx.TooManyRedirects) as error:
                 raise InputError(f"cannot be fetched from ({error})", where=url) from error
             except (_Broken, httpx.TransportError) as error:
-                gained = (part.stat().st_size if part.exists() else 0) > before
-                failures = 1 if gained else failures + 1
+                failures = 1 if _size(part) > before else failures + 1
                 if failures >= patience.attempts:
                     raise RgraspError(
                         f"cannot be fetched ({type(error).__name__}: {error})",
@@ -83,7 +82,7 @@ def download(url: str, path: Path, patience: Patience | None = None) -> str:
 
 def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: int) -> None:
     """Append the missing bytes to `part`, which is complete when this returns."""
-    have = part.stat().st_size if part.exists() else 0
+    have = _size(part)
     validator = tag.read_text(encoding="ascii") if have and tag.exists() else ""
     headers = {"Accept-Encoding": "identity"}
     if validator:
@@ -102,9 +101,9 @@ def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: 
             tag.unlink(missing_ok=True)
             raise _Broken("the server sent another part than asked for")
         _remember(tag, response.headers)
-        expected = (have if resumes else 0) + int(response.headers.get("Content-Length", 0))
         written = have if resumes else 0
-        if max(expected, written) > largest:
+        expected = written + int(response.headers.get("Content-Length", 0))
+        if expected > largest:
             raise InputError(f"{expected} bytes", where=url, allowed=f"at most {largest}")
         with open(part, "ab" if resumes else "wb") as file:
             for block in response.iter_raw():
@@ -116,6 +115,10 @@ def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: 
                 file.write(block)
         if "Content-Length" in response.headers and written != expected:
             raise _Broken(f"{written} bytes of {expected}")
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
 
 
 def _remember(tag: Path, headers: httpx.Headers) -> None:

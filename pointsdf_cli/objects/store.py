@@ -153,12 +153,8 @@ def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None
         if about is None:
             continue
         if not force:
-            raise OptionsDifferError(
-                f"has the number of {ours}, but is of another seed or other families "
-                f"(seed {about.get('seed')})",
-                where=other,
-                hint="choose another --out, or add --force to replace it",
-            )
+            what = f"has the number of {ours}, but is of another seed or other families "
+            raise OptionsDifferError.of_file(other, f"{what}(seed {about.get('seed')})")
         other.unlink(missing_ok=True)
 
 
@@ -166,11 +162,7 @@ def _is_same(task: ObjectTask) -> bool:
     """Whether an existing file is this object; False without a file."""
     about = read_object_about(task.path)
     if about is None:
-        raise OptionsDifferError(
-            "is not a complete generated object",
-            where=task.path,
-            hint="choose another --out, or add --force to replace it",
-        )
+        raise OptionsDifferError.of_file(task.path, "is not a complete generated object")
     ours = {"seed": task.seed, "index": task.index, "generator_version": GENERATOR_VERSION}
     changed = [
         f"{key}: {about.get(key)} there, {ours[key]} now"
@@ -178,5 +170,7 @@ def _is_same(task: ObjectTask) -> bool:
         if about.get(key) != ours[key]
     ]
     if changed:
-        raise OptionsDifferError.of_file(task.path, ", ".join(changed))
+        raise OptionsDifferError.of_file(
+            task.path, f"was made with other options ({', '.join(changed)})"
+        )
     return True

@@ -161,8 +161,8 @@ def pan(draw: Draw) -> Manifold:
     if draw.chance("long_handle", 0.6):
         reach = draw.uniform("handle", 0.09, 0.17)
         lift = draw.uniform("handle_lift", 0.0, 0.25) * reach
-        middle = (start + reach / 2, 0, level + 0.3 * lift)
-        knots = [(start, 0, level), middle, (start + reach, 0, level + lift)]
+        half_way = (start + reach / 2, 0, level + 0.3 * lift)
+        knots = [(start, 0, level), half_way, (start + reach, 0, level + lift)]
         ends = draw.uniform("grip_start", 0.003, 0.006), draw.uniform("grip_end", 0.006, 0.011)
         grip = np.linspace(*ends, 12)
         handles = [tube(smooth_curve(knots, 12), 0.55 * grip, grip, up=(0, 1, 0))]
