@@ -16,23 +16,23 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.signed_distance import SignedDistance
-from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
+from pointsdf_cli.geometry.stable_poses import STANDING
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trials import TrialRow
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.observe import Observer
-from pointsdf_cli.simulation.settle import placed, settle
+from pointsdf_cli.simulation.settle import placed
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import Trial, TrialObject
+from pointsdf_cli.trials.scenes import at_rest, random_poses
 
 Standing = tuple[SimObject, Array]
 """An object and its T_world_object [4, 4]."""
 
-POSE_TRIES, PLACE_TRIES = 12, 2000
+PLACE_TRIES = 2000
 OUTLINE_STEP = 0.004
 """Spacing of the points at which outlines are compared [m]."""
 
@@ -74,7 +74,8 @@ def place_neighbours(
     outlines = [along(level_corners(*target))]
     found: list[Standing] = []
     for other in trial.others:
-        item, resting = _at_rest(world, load(other), other.name, rng)
+        item = load(other)
+        item, resting = at_rest(world, item, other.name, random_poses(item, STANDING, rng))
         corners = level_corners(item, resting)
         reach = GAP[1] + float(np.linalg.norm(np.ptp(corners, axis=0))) / 2
         low = np.maximum(LOW, outlines[0].min(axis=0) - reach)
@@ -93,21 +94,6 @@ def place_neighbours(
                 "no free place beside the target", where=other.name, hint="lower --clutter"
             )
     return found
-
-
-def _at_rest(world: World, item: SimObject, name: str, rng: np.random.Generator) -> Standing:
-    """The object with a foot, and T_table_object [4, 4] in a random resting pose.
-
-    Raises:
-        InputError: It never comes to rest.
-    """
-    for _ in range(POSE_TRIES):
-        pose = item.poses[draw_pose(item.poses, STANDING, rng)[0]]
-        standing = on_its_foot(item, pose)
-        resting = settle(world, standing, pose)
-        if resting is not None:
-            return standing, resting
-    raise InputError("never comes to rest on a table", where=name)
 
 
 def level_corners(item: SimObject, T_world_object: Array) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import time
-from collections import OrderedDict
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,6 @@ from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.clutter import look, place_neighbours, with_others
@@ -46,7 +44,7 @@ from pointsdf_cli.trials.evidence import evidence_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.planner_variants import TrialPlanner, weights_of
-from pointsdf_cli.trials.protocol import NO_CLEANING, PlannerVariant, Trial, TrialObject
+from pointsdf_cli.trials.protocol import NO_CLEANING, Trial
 from pointsdf_cli.trials.scenes import load_object, object_mesh, place_camera, place_object
 
 NO_PLAN = "no_plan"
@@ -112,8 +110,8 @@ class TrialRunner:
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
         self._observer = Observer(self.robot, CameraPlacement(sensor=config.sensor))
-        self._planners: dict[PlannerVariant, TrialPlanner] = {}
-        self._objects: OrderedDict[TrialObject, SimObject] = OrderedDict()
+        self._planner = functools.cache(lambda variant: TrialPlanner(variant, config.planning))
+        self._item = functools.lru_cache(maxsize=KEPT_OBJECTS)(load_object)
 
     def close(self) -> None:
         """Close the physics client."""
@@ -161,12 +159,11 @@ class TrialRunner:
         if others:
             ends = [] if executed is None else [one.pose() for one in self._world.others]
             row = with_others(row, others, ends)
-        world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
             believed = surface_of(answer.target)
         evidence = evidence_of(
-            world_cloud,
+            view.in_world,
             T_world_camera,
             T_world_object,
             believed,
@@ -183,18 +180,6 @@ class TrialRunner:
         distances = ObjectDistances(self._geometry, MeshField(*surface))
         found = distances(link_poses(self._kinematics, q[None]), gradients=False)
         return max(0.0, -float(found.distance.min()))
-
-    def _item(self, item: TrialObject) -> SimObject:
-        if item not in self._objects:
-            self._objects[item] = load_object(item)
-            while len(self._objects) > KEPT_OBJECTS:
-                self._objects.popitem(last=False)
-        return self._objects[item]
-
-    def _planner(self, variant: PlannerVariant) -> TrialPlanner:
-        if variant not in self._planners:
-            self._planners[variant] = TrialPlanner(variant, self.config.planning)
-        return self._planners[variant]
 
     def _row(
         self,

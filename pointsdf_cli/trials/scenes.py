@@ -6,6 +6,7 @@ The camera stands opposite the robot and looks at it, so the hand comes from the
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -76,22 +77,40 @@ def place_object(world: World, item: SimObject, trial: Trial) -> tuple[SimObject
         InputError: The object never comes to rest.
     """
     rng = trial.rng("pose")
-    resting, standing = None, item
-    for _ in range(POSE_TRIES):
-        if trial.object.upright:
-            pose = upright_pose(item)
-        else:
-            pose = item.poses[draw_pose(item.poses, TARGET_STANDING, rng)[0]]
-        standing = on_its_foot(item, pose)
-        resting = settle(world, standing, pose)
-        if resting is not None or trial.object.upright:
-            break
-    if resting is None:
-        raise InputError("never comes to rest on a table", where=trial.object.name)
+    if trial.object.upright:
+        poses = iter([upright_pose(item)])
+    else:
+        poses = random_poses(item, TARGET_STANDING, rng)
+    standing, resting = at_rest(world, item, trial.object.name, poses)
     yaw = float(rng.uniform(0, 2 * np.pi)) + 2 * np.pi * trial.yaw_index / trial.yaws
     yaw = float(np.mod(yaw, 2 * np.pi))
     shift = PLACE_SPREAD * trial.rng("scene").standard_normal(2)
     return standing, placed(resting, item, yaw, np.asarray(PLACE) + shift), yaw
+
+
+def random_poses(
+    item: SimObject, standing: float, rng: np.random.Generator
+) -> Iterator[StablePose]:
+    """`POSE_TRIES` random resting poses of an object, standing with the given probability."""
+    for _ in range(POSE_TRIES):
+        yield item.poses[draw_pose(item.poses, standing, rng)[0]]
+
+
+def at_rest(
+    world: World, item: SimObject, name: str, poses: Iterable[StablePose]
+) -> tuple[SimObject, Array]:
+    """The object with a foot, and T_table_object [4, 4], in the first of the poses in which it
+    comes to rest.
+
+    Raises:
+        InputError: It never comes to rest.
+    """
+    for pose in poses:
+        standing = on_its_foot(item, pose)
+        resting = settle(world, standing, pose)
+        if resting is not None:
+            return standing, resting
+    raise InputError("never comes to rest on a table", where=name)
 
 
 def upright_pose(item: SimObject) -> StablePose:
