@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Surface
-from pointsdf_cli.io.plans import OK, Plan
+from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.io.trials import Evidence
 from pointsdf_cli.planning.environment import Obstacle, obstacle_mesh
 from pointsdf_cli.trials.execution import Executed
@@ -42,13 +42,12 @@ def evidence_of(
     """
     nothing = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
     vertices, faces = _few_faces(*(nothing if believed is None else believed))
-    moments = [] if executed is None else executed.moments
-    planned = plan is not None and plan.status == OK
     stride = max(1, len(cloud) // SHOWN_POINTS)
     placed = np.array(T_world_others, dtype=np.float64).reshape(-1, 4, 4)
-    if moments:
+    if plan is not None and executed is not None:
+        moments = executed.moments
         phases = ("planned", *(m.phase for m in moments))
-        q = np.stack([plan.q if planned and plan is not None else home, *(m.q for m in moments)])
+        q = np.stack([plan.q, *(m.q for m in moments)])
         poses = np.stack([T_world_object, *(m.T_world_object for m in moments)])
         others = np.stack([placed, *(m.T_world_others for m in moments)])
     else:

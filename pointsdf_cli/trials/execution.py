@@ -119,11 +119,10 @@ class _Last:
 
     def __call__(self, world: World, phase: str) -> None:
         self._steps += 1
-        if self._steps % 8 == 0 or not self.moments or self.moments[-1].phase != phase:
-            moment = moment_of(world, phase)
-            if self.moments and self.moments[-1].phase == phase:
-                self.moments[-1] = moment
-            else:
-                self.moments.append(moment)
+        begun = bool(self.moments) and self.moments[-1].phase == phase
+        if self._steps % 8 == 0 or not begun:
+            if begun:
+                self.moments.pop()
+            self.moments.append(moment_of(world, phase))
         if self._watch:
             self._watch(world, phase)

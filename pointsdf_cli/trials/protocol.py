@@ -176,10 +176,9 @@ def choose_objects(
     files = [] if meshes is None else find_meshes(meshes, pattern)
     by_paper: dict[str, Path] = {}
     for name, starts in YCB_NAMES.items():
-        for start in starts:
-            for path in files:
-                if path.name.startswith(start):
-                    by_paper.setdefault(name, path)
+        found = [path for start in starts for path in files if path.name.startswith(start)]
+        if found:
+            by_paper[name] = found[0]
     eight = [
         TrialObject(name, by_paper[name], True, unit)
         if name in by_paper
@@ -196,13 +195,12 @@ def choose_objects(
     every = [TrialObject(path.stem, path, unit=unit) for path in files if path not in taken]
     if objects in ("all", "others"):
         return _distinct(every)
-    known = {item.name: item for item in eight}
-    known |= {item.name: item for item in every}  # a file of exactly that name takes precedence
+    # A file of exactly the name of one of the eight takes precedence.
+    known = {item.name: item for item in (*eight, *every)}
     named = objects.split(",")
     if len(set(named)) < len(named):
         raise InputError("names an object twice", where=f"--objects {objects}")
     _distinct([item for item in every if item.name in named])
-    chosen = []
     for name in named:
         if name not in known:
             raise InputError(
@@ -210,8 +208,7 @@ def choose_objects(
                 where="--objects",
                 allowed="auto, eight, all, others, or names: " + ", ".join(sorted(known)[:20]),
             )
-        chosen.append(known[name])
-    return _distinct(chosen)
+    return [known[name] for name in named]
 
 
 def planner_variants(method: str, ablations: Sequence[str] = ()) -> list[PlannerVariant]:

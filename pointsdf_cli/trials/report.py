@@ -23,7 +23,7 @@ from pointsdf_cli.trials.summary import Summary, compare, summarise, variant_of
 from pointsdf_cli.viz import html
 
 COLOURS = {RECONSTRUCTION: "#2e7d4f", PARTIAL_VIEW: "#c0622d"}
-Table = tuple[str, Sequence[str], list[Sequence[object]]]
+Table = tuple[str, Sequence[str], Sequence[Sequence[object]]]
 """Title, header, rows."""
 
 
@@ -147,10 +147,10 @@ def _success(summaries: Sequence[Summary]) -> Table:
 
 
 def _verdicts(summaries: Sequence[Summary]) -> Table:
-    body: list[Sequence[object]] = []
-    for s in summaries:
-        lost = ", ".join(f"{step} {count}" for step, count in s.lost_in.items()) or "–"
-        body.append((s.name, *map(percent, (s.lifted, s.held, s.unshaken)), lost))
+    body = [
+        (s.name, *map(percent, (s.lifted, s.held, s.unshaken)), _listed(s.lost_in))
+        for s in summaries
+    ]
     return "Verdicts", ("planner", "lifted", "held", "unshaken", "lost in"), body
 
 
@@ -168,12 +168,11 @@ def _whole_methods(summaries: Sequence[Summary]) -> list[str]:
 def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
     names = [summary.name for summary in summaries if not summary.ablation]
     body: list[Sequence[object]] = []
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            test, by_object, (objects, differing) = compare(rows, first, second)
-            pairs = (test.both, test.only_first, test.only_second, test.neither)
-            flips = f"{p_value(by_object)} ({differing} of {objects} differ)"
-            body.append((f"{first} against {second}", *pairs, p_value(test.p), flips))
+    for first, second in itertools.combinations(names, 2):
+        test, by_object, (objects, differing) = compare(rows, first, second)
+        pairs = (test.both, test.only_first, test.only_second, test.neither)
+        flips = f"{p_value(by_object)} ({differing} of {objects} differ)"
+        body.append((f"{first} against {second}", *pairs, p_value(test.p), flips))
     header = (
         *("pairs of trials", "both succeeded", "only first", "only second", "neither"),
         *("p (McNemar, by trial)", "p (sign flips, by object)"),
@@ -182,12 +181,10 @@ def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
 
 
 def _plans(summaries: Sequence[Summary]) -> Table:
-    body: list[Sequence[object]] = []
-    for s in summaries:
-        reasons = ", ".join(f"{name} {count}" for name, count in s.reasons.items()) or "–"
-        body.append(
-            (s.name, percent(s.no_plan), reasons, _seconds(s.seconds), _seconds(s.cpu_seconds))
-        )
+    body = [
+        (s.name, percent(s.no_plan), _listed(s.reasons), *map(_seconds, (s.seconds, s.cpu_seconds)))
+        for s in summaries
+    ]
     for method in _whole_methods(summaries):
         no_plan, seconds = f"{PUBLISHED_NO_PLAN[method]:.0%}", f"{PUBLISHED_SECONDS[method]} s"
         body.append((f"{method}, published", no_plan, "", seconds, ""))
@@ -258,19 +255,16 @@ def _clutter(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
 
 
 def _objects(summaries: Sequence[Summary]) -> Table:
-    items = list(dict.fromkeys(item for s in summaries for item in s.by_object))
-    body: list[Sequence[object]] = [
+    body = [
         (item, *(counts(s.by_object[item]) if item in s.by_object else "–" for s in summaries))
-        for item in items
+        for item in dict.fromkeys(item for s in summaries for item in s.by_object)
     ]
     return "By object", ("object", *(s.name for s in summaries)), body
 
 
 def _causes(summaries: Sequence[Summary]) -> Table:
-    causes = list(dict.fromkeys(cause for s in summaries for cause in s.causes))
-    body: list[Sequence[object]] = [
-        (cause, *(s.causes.get(cause, 0) for s in summaries)) for cause in causes
-    ]
+    causes = dict.fromkeys(cause for s in summaries for cause in s.causes)
+    body = [(cause, *(s.causes.get(cause, 0) for s in summaries)) for cause in causes]
     return "How executed trials ended", ("cause", *(s.name for s in summaries)), body
 
 
@@ -284,6 +278,11 @@ def percent(share: Share) -> str:
 def counts(share: Share) -> str:
     """A share as "5 of 6"."""
     return f"{share.successes} of {share.trials}"
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    """Counts as "side 2, top 1"."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "–"
 
 
 def _seconds(value: float) -> str:

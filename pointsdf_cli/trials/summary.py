@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -114,6 +114,10 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
     def succeeded(chosen: list[TrialRow]) -> Share:
         return wilson(sum(row.succeeded for row in chosen), len(chosen))
 
+    def succeeded_by(key: Callable[[TrialRow], str]) -> dict[str, Share]:
+        groups = dict.fromkeys(map(key, rows))
+        return {group: succeeded([row for row in rows if key(row) == group]) for group in groups}
+
     return Summary(
         name=name,
         method=rows[0].method,
@@ -122,14 +126,8 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
         held=wilson(sum(row.held for row in rows), len(rows)),
         unshaken=wilson(sum(row.unshaken == 1 for row in pushed), len(pushed)),
         succeeded=succeeded(rows),
-        by_camera={
-            camera: succeeded([row for row in rows if row.camera == camera])
-            for camera in dict.fromkeys(row.camera for row in rows)
-        },
-        by_object={
-            item: succeeded([row for row in rows if row.object == item])
-            for item in dict.fromkeys(row.object for row in rows)
-        },
+        by_camera=succeeded_by(lambda row: row.camera),
+        by_object=succeeded_by(lambda row: row.object),
         lost_in=dict(Counter(row.lost_in for row in rows if row.lost_in).most_common()),
         no_plan=wilson(len(rows) - len(planned), len(rows)),
         contact=wilson(sum(row.contact for row in planned), len(planned)),
