@@ -239,13 +239,9 @@ def _dome_ends(
     angle = np.deg2rad([78.0, 52.0, 26.0])
     shrink, reach = np.cos(angle), np.sin(angle)
     first, last = min(width[0], height[0]), min(width[-1], height[-1])
-    path = np.concatenate(
-        [
-            path[0] - first * reach[:, None] * tangent[0],
-            path,
-            path[-1] + last * reach[::-1, None] * tangent[-1],
-        ]
-    )
+    before = path[0] - first * reach[:, None] * tangent[0]
+    beyond = path[-1] + last * reach[::-1, None] * tangent[-1]
+    path = np.concatenate([before, path, beyond])
     width = np.concatenate([width[0] * shrink, width, width[-1] * shrink[::-1]])
     height = np.concatenate([height[0] * shrink, height, height[-1] * shrink[::-1]])
     tangent = np.concatenate([np.repeat(tangent[:1], 3, 0), tangent, np.repeat(tangent[-1:], 3, 0)])

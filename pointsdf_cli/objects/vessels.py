@@ -93,10 +93,10 @@ def tumbler(draw: Draw) -> Manifold:
     foot = radius * draw.uniform("foot_ratio", 0.6, 1.02)
     waist = draw.uniform("waist", -0.08, 0.06) * radius
     middle = 0.5 * (foot + radius) + waist
-    line = np.array([(0, 0), (foot, 0), (middle, height / 2), (radius, height)])
     corner = draw.uniform("corner", 0.0, 0.3)
-    around = np.array([(foot * (1 - corner), 0), (foot, 0.3 * corner * height)])
-    line = np.concatenate([line[:1], soften(np.concatenate([around, line[2:]]), 2)])
+    bottom = [(foot * (1 - corner), 0), (foot, 0.3 * corner * height)]
+    side = soften([*bottom, (middle, height / 2), (radius, height)], 2)
+    line = np.concatenate([[(0, 0)], side])
     cup = shell(line, wall)
     if draw.chance("thick_base", 0.3):
         plug = cylinder(foot - 0.2 * wall, draw.uniform("base", 0.004, 0.015), 0.0005, segments=48)
