@@ -7,7 +7,9 @@ hull: lower bounds, whose constraints are inactive.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from copy import copy
+from functools import cache, partial
 
 import coal
 import numpy as np
@@ -66,21 +68,16 @@ class BodyDistances:
                     continue
                 pairs.append((i, j))
         self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-        self._pair_list = pairs
         self.names = tuple((self._bodies[i].name, self._bodies[j].name) for i, j in pairs)
         links = np.array([body.link for body in self._bodies])
         self.link: Indices = links[self._pairs[:, 0]]
         self.other_link: Indices = links[self._pairs[:, 1]]
-        self._links, self._moving = links, moving
+        self._links = links
         self._centres = np.array([body.centre for body in self._bodies])
         self._local = np.array([body.pose for body in self._bodies])
         self._radii = np.array([body.radius for body in self._bodies])
-        self._table, self._table_height = (
-            np.zeros(len(self._bodies), bool),
-            environment.table_height,
-        )
-        if environment.table:
-            self._table[moving] = True
+        self._table_height = environment.table_height
+        self._table = np.arange(len(links)) == (moving if environment.table else WORLD)
         self.is_table: NDArray[np.bool_] = self._table[self._pairs[:, 1]]
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
@@ -98,7 +95,7 @@ class BodyDistances:
             poses: Poses of B configurations.
             wanted: bool [M], pairs to measure exactly; the others get the gap between their balls.
         """
-        count, pairs = len(poses.rotation), len(self._pairs)
+        count = len(poses.rotation)
         rotation = np.concatenate([poses.rotation, np.broadcast_to(np.eye(3), (count, 1, 3, 3))], 1)
         position = np.concatenate([poses.position, np.zeros((count, 1, 3))], 1)
         turn, at = rotation[:, self._links], position[:, self._links]  # WORLD is the last row
@@ -119,9 +116,18 @@ class BodyDistances:
             near &= wanted
         shape_turn = turn @ self._local[:, :3, :3]
         shape_at = (turn @ self._local[:, :3, 3, None])[..., 0] + at
-        for b in np.flatnonzero(near.any(axis=1)):
-            self._measure(contacts, int(b), np.flatnonzero(near[b]), shape_turn[b], shape_at[b])
-        assert contacts.distance.shape == (count, pairs)
+
+        def placement(b: int, body: int) -> coal.Transform3s:
+            return coal.Transform3s(shape_turn[b, body], shape_at[b, body])
+
+        where = np.nonzero(near)
+        exact = self._exact(*where, placement)
+        for b, m, (distance, inside, result) in zip(*where, exact, strict=True):
+            gap[b, m] = distance
+            contacts.point[b, m] = result.getNearestPoint1()
+            contacts.other_point[b, m] = result.getNearestPoint2()
+            # coal's normal points from the first to the second.
+            contacts.normal[b, m] = result.normal if inside else -result.normal
         return contacts
 
     def of(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
@@ -133,16 +139,11 @@ class BodyDistances:
         above = centre[:, 2] - self._table_height - self._radii[first]
         gap = np.where(self._table[second], above, gap)
         near = np.flatnonzero(gap < self.exact_to)
-        if not len(near):
-            return np.asarray(gap)
-        places: dict[tuple[int, int], coal.Transform3s] = {}
-        result = coal.DistanceResult()
-        for k in near:
-            row, pair = int(rows[k]), (int(first[k]), int(second[k]))
-            for body in pair:
-                if (row, body) not in places:
-                    places[row, body] = self._placement(poses, row, body)
-            gap[k] = self._gap(pair, places[row, pair[0]], places[row, pair[1]], result)
+        placement = partial(self._placement, poses)
+        for k, (distance, _, _) in zip(
+            near, self._exact(rows[near], columns[near], placement), strict=True
+        ):
+            gap[k] = distance
         return np.asarray(gap)
 
     def _placed(self, poses: Poses, rows: Indices, bodies: Indices, points: Array) -> Array:
@@ -162,59 +163,38 @@ class BodyDistances:
             turn @ local[:3, :3], turn @ local[:3, 3] + poses.position[row, link]
         )
 
-    def _gap(
+    def _exact(
         self,
-        pair: tuple[int, int],
-        one: coal.Transform3s,
-        two: coal.Transform3s,
-        result: coal.DistanceResult,
-    ) -> float:
-        """Exact distance [m] of two bodies at their places."""
-        shape, other = (self._bodies[body].geometry for body in pair)
-        mesh = self._meshes.get(pair[1])
-        if mesh is not None:
-            result.clear()
-            least = float(coal.distance(shape, one, mesh.hull, two, self._request, result))
-            if least > self.exact_to:
-                return least
-        result.clear()
-        distance = float(coal.distance(shape, one, other, two, self._request, result))
-        if mesh is None or distance <= 0:
-            return distance
-        # A shape that is wholly inside of a closed mesh does not touch its triangles.
-        point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
-        return -distance - self._radii[pair[0]] if mesh.inside(point) else distance
+        rows: Indices,
+        columns: Indices,
+        placement: Callable[[int, int], coal.Transform3s],
+    ) -> Iterator[tuple[float, bool, coal.DistanceResult]]:
+        """Exact distance [m] of each of K pairs, whether its first body is wholly inside of the
+        second, and coal's result, which the next pair overwrites.
 
-    def _measure(self, out: Contacts, b: int, columns: Indices, turn: Array, at: Array) -> None:
-        """Fill in exact distances of one configuration."""
-        places: dict[int, coal.Transform3s] = {}
-        result = coal.DistanceResult()
-        for m in columns:
-            i, j = self._pair_list[m]
-            for body in (i, j):
-                if body not in places:
-                    places[body] = coal.Transform3s(turn[body], at[body])
-            one, two = self._bodies[i].geometry, self._bodies[j].geometry
-            distance = -np.inf
-            mesh = self._meshes.get(j)
+        Args:
+            rows, columns: [K], each pair's configuration, and its column.
+            placement: Function from a configuration and a body to the pose of the body's shape.
+        """
+        placement, result = cache(placement), coal.DistanceResult()
+        for row, (first, second) in zip(rows.tolist(), self._pairs[columns].tolist(), strict=True):
+            shape, other = self._bodies[first].geometry, self._bodies[second].geometry
+            one, two = placement(row, first), placement(row, second)
+            mesh, distance = self._meshes.get(second), -np.inf
             if mesh is not None:
                 result.clear()
-                distance = coal.distance(
-                    one, places[i], mesh.hull, places[j], self._request, result
-                )
-            if distance <= self.exact_to:
+                distance = coal.distance(shape, one, mesh.hull, two, self._request, result)
+            far = distance > self.exact_to
+            if not far:
                 result.clear()
-                distance = coal.distance(one, places[i], two, places[j], self._request, result)
-            out.distance[b, m] = distance
-            out.point[b, m] = result.getNearestPoint1()
-            out.other_point[b, m] = result.getNearestPoint2()
-            out.normal[b, m] = -result.normal  # coal's points from the first to the second
-            if mesh is None or not distance > 0:
-                continue
-            if mesh.inside((out.point[b, m] - at[j]) @ turn[j]):
-                # The shape is wholly inside: its shortest way out is through the nearest triangle.
-                out.distance[b, m] = -out.distance[b, m] - self._radii[i]
-                out.normal[b, m] = -out.normal[b, m]
+                distance = coal.distance(shape, one, other, two, self._request, result)
+            inside = False
+            if mesh is not None and not far and distance > 0:
+                # A shape that is wholly inside of a closed mesh does not touch its triangles: its
+                # shortest way out is through the nearest one.
+                point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
+                inside = mesh.inside(point)
+            yield -distance - self._radii[first] if inside else distance, inside, result
 
 
 def _settle_boxes() -> None:
