@@ -54,25 +54,17 @@ class ObjectDistances:
 
     def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
         """Distances [B, M] of all patches, with their nearest samples."""
-        rotation, position = poses.rotation[:, self.link], poses.position[:, self.link]
-        count, patches = rotation.shape[:2]
-        point = (rotation @ self._centre[:, :, None])[..., 0] + position
-        distance = self.field(point.reshape(-1, 3)).reshape(count, patches)
-        distance = distance - self._radius
+        shape = len(poses.rotation), len(self.link)
+        rows, columns = (index.ravel() for index in np.indices(shape))
+        distance, point, near = self._nearest(poses, rows, columns)
         normal = np.zeros_like(point)
-        rows, columns = np.nonzero(distance < self._exact_to)
-        if len(rows):
-            world = self._points[columns] @ rotation[rows, columns].transpose(0, 2, 1)
-            world += position[rows, columns][:, None]
-            values = self.field(world.reshape(-1, 3)).reshape(len(rows), PATCH)
-            lowest = values.argmin(axis=1)
-            each = np.arange(len(rows))
-            point[rows, columns] = world[each, lowest]
-            distance[rows, columns] = values[each, lowest]
-            if gradients:
-                _, normal[rows, columns] = self.field.with_gradient(world[each, lowest])
-        none = np.full(patches, WORLD)
-        return Contacts(distance, self.link, point, normal, none, point)
+        if gradients and len(near):
+            _, normal[near] = self.field.with_gradient(point[near])
+        point = point.reshape(*shape, 3)
+        none = np.full(len(self.link), WORLD)
+        return Contacts(
+            distance.reshape(shape), self.link, point, normal.reshape(*shape, 3), none, point
+        )
 
     def by_link(self, poses: Poses) -> Array:
         """Distance [L] of each link of one configuration: the least of its samples; infinite for a
@@ -88,22 +80,33 @@ class ObjectDistances:
         first = order[np.unique(self.link[order], return_index=True)[1]]
         for patches in (first, np.setdiff1d(order, first)):
             near = patches[bound[patches] < least[self.link[patches]]]
-            world = self._points[near] @ rotation[near].transpose(0, 2, 1) + position[near, None]
-            values = self.field(world.reshape(-1, 3)).reshape(len(near), PATCH)
+            _, values = self._samples(near, rotation[near], position[near])
             np.minimum.at(least, self.link[near], values.min(axis=1))
         return least
 
     def of(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
         """Distances [K], m, of the patches `columns` [K] at the configurations `rows` [K]: as in a
         call, but of these alone."""
+        return self._nearest(poses, rows, columns)[0]
+
+    def _nearest(
+        self, poses: Poses, rows: Indices, columns: Indices
+    ) -> tuple[Array, Array, Indices]:
+        """Distances [K] m of the patches `columns` [K] at the configurations `rows` [K], the points
+        [K, 3] of these distances, and which of them are exact."""
         links = self.link[columns]
         rotation, position = poses.rotation[rows, links], poses.position[rows, links]
-        centre = (rotation @ self._centre[columns, :, None])[..., 0] + position
-        distance = self.field(centre) - self._radius[columns]
+        point = (rotation @ self._centre[columns, :, None])[..., 0] + position
+        distance = np.asarray(self.field(point) - self._radius[columns])
         near = np.flatnonzero(distance < self._exact_to)
         if len(near):
-            world = self._points[columns[near]] @ rotation[near].transpose(0, 2, 1)
-            world += position[near, None]
-            values = self.field(world.reshape(-1, 3)).reshape(len(near), PATCH)
-            distance[near] = values.min(axis=1)
-        return np.asarray(distance)
+            world, values = self._samples(columns[near], rotation[near], position[near])
+            each, lowest = np.arange(len(near)), values.argmin(axis=1)
+            point[near], distance[near] = world[each, lowest], values[each, lowest]
+        return distance, point, near
+
+    def _samples(self, patches: Indices, rotation: Array, position: Array) -> tuple[Array, Array]:
+        """Samples [K, PATCH, 3] of patches [K] whose links are at (R [K, 3, 3], p [K, 3]), in the
+        world, m, and their distances [K, PATCH]."""
+        world = self._points[patches] @ rotation.transpose(0, 2, 1) + position[:, None]
+        return world, self.field(world.reshape(-1, 3)).reshape(len(patches), PATCH)
