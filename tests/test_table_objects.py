@@ -92,7 +92,7 @@ def test_the_parts_of_the_report_add_up() -> None:
     kept = int(said.split("kept ")[1].split()[0])
     total = int(said.split(" of ")[2].split()[0])
     dropped = [int(part.split()[0]) for part in said.split("dropped ")[1].split(", ")]
-    assert kept + sum(dropped) == total == len(scene.all_points)
+    assert kept + sum(dropped) == total == len(scene.cloud.points)
 
 
 def test_the_middle_of_the_image_is_meant_and_not_the_largest() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,39 +49,27 @@ class LabelledView:
 
     Attributes:
         name: Name of the cloud, for messages.
-        all_points: [N, 3], camera frame, m.
-        all_pixels: [N, 2], (u, v) of each; None without an image.
+        cloud: The cloud, its N points in the camera's frame, its mask extended to the edge of the
+            depth. If its pose was made from the table, no robot was seen, and some points lie where
+            the robot will stand.
         voxel: i8 [N], the thinned point of each; -1 for those that cleaning dropped.
         points: [M, 3], camera frame, m.
         world: [M, 3], world, m.
         pixels: [M, 2], (u, v); None without an image.
         objects: Object of each thinned point, or one of the negative labels.
         listed: The objects, best to grasp first.
-        flying: Counts of flying pixels and outliers among the N points.
         T_world_camera: [4, 4].
-        image: The depth image; None where there was none.
-        mask: bool [N], points under the user's mask, extended to the edge of the depth; None
-            without one.
-        mask_rays: [K, 2], as in `Cloud`.
-        over_table: The pose was made from the table: no robot was seen, some points lie where the
-            robot will stand.
     """
 
     name: str
-    all_points: Array
-    all_pixels: Array | None
+    cloud: Cloud
     voxel: NDArray[np.int64]
     points: Array
     world: Array
     pixels: Array | None
     objects: TableObjects
     listed: list[ListedObject]
-    flying: Cleaning
     T_world_camera: Array
-    image: DepthImage | None
-    mask: Mask | None
-    mask_rays: Array | None
-    over_table: bool = False
 
     @property
     def label(self) -> NDArray[np.int64]:
@@ -92,7 +80,8 @@ class LabelledView:
         return label
 
     def plane_in_camera(self) -> Array | None:
-        """The table's plane [4], n·x = offset in the camera's frame; None if none was seen."""
+        """The table's plane [4], (unit normal n that points up, offset d), n·x = d, in the camera's
+        frame; None if none was seen."""
         plane = self.objects.plane
         return None if plane is None else plane_in_camera(plane, self.T_world_camera)
 
@@ -105,10 +94,6 @@ class Sighting:
         object_points: [K, 3], all points of the object, cleaned, camera frame, m.
         other_points: [L, 3], all other measured points, thinned: table, background, other objects;
             camera frame, m. Points that cleaning dropped are in neither array.
-        support_plane: [4], (unit normal n that points up, offset d), n·x = d, camera frame; None
-            if no table was seen.
-        T_world_camera: [4, 4].
-        image: The depth image with its intrinsics; None if the input was a cloud.
         others_in_world: [J, 3], points of other objects above the table, thinned, world, m.
         cleaning: Report on cleaning the object's points.
         object_rays: [K, 2], tangents of pixels that a mask gives to the object and that have no
@@ -117,9 +102,6 @@ class Sighting:
 
     object_points: Array
     other_points: Array
-    support_plane: Array | None
-    T_world_camera: Array
-    image: DepthImage | None
     others_in_world: Array
     cleaning: Cleaning
     object_rays: Array | None
@@ -151,7 +133,7 @@ def label_view(
         reach, workspace = None, ANYWHERE if workspace is WORKSPACE else workspace
     points, _ = cloud.in_camera_frame()
     assert cloud.T_world_camera is not None
-    thinned, flying = thin_and_clean(points, cloud, cleaned)
+    thinned = thin_and_clean(points, cloud, cleaned)
     few = points[thinned.first]
     world = apply_transform(cloud.T_world_camera, few)
     camera = cloud.T_world_camera[:3, 3]
@@ -160,29 +142,23 @@ def label_view(
     found = segment_table(world[~own], camera, workspace)
     label[~own] = found.label
     objects = TableObjects(label, found.plane, found.unsplit)
-    mask = None
-    if cloud.mask is not None:
-        mask = _to_depth_edge(cloud, cloud.mask, thinned.voxel, label)
+    mask = cloud.mask
+    if mask is not None:
+        mask = _to_depth_edge(cloud, mask, thinned.voxel, label)
         objects = add_masked_object(mask[thinned.first], objects)
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, objects, standing_objects(objects, world, camera), reach)
     return LabelledView(
         name=name,
-        all_points=points,
-        all_pixels=cloud.pixels,
+        cloud=replace(cloud, points=points, frame="camera", mask=mask),
         voxel=thinned.voxel,
         points=few,
         world=world,
         pixels=pixels,
         objects=objects,
         listed=listed,
-        flying=flying,
         T_world_camera=cloud.T_world_camera,
-        image=cloud.image,
-        mask=mask,
-        mask_rays=cloud.mask_rays,
-        over_table=cloud.over_table,
     )
 
 
@@ -208,33 +184,21 @@ def _to_depth_edge(
     return grown_mask(marked, cloud.image.depth, focal, allowed)[v, u]
 
 
-def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned, Cleaning]:
-    """Thin points [N, 3] (camera frame) to one a voxel, without flying pixels and outliers.
-
-    Returns:
-        The thinned points, with `voxel` -1 for dropped ones, and counts of these.
-    """
-    flying = np.zeros(len(points), dtype=bool)
+def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> Thinned:
+    """Thin points [N, 3] (camera frame) to one a voxel, without flying pixels and outliers, whose
+    `voxel` is -1."""
     if cleaned and cloud.image is not None and cloud.pixels is not None:
         u, v = cloud.pixels.astype(np.int64).T
-        flying = flying_pixels(cloud.image.depth, cloud.image.K[0, 0])[v, u]
-        kept = np.flatnonzero(~flying)
+        kept = np.flatnonzero(~flying_pixels(cloud.image.depth, cloud.image.K[0, 0])[v, u])
         few = thin(points[kept], VOXEL)
         voxel = np.full(len(points), -1, dtype=np.int64)
         voxel[kept] = few.voxel
-        said = Cleaning(~flying, flying=int(flying.sum()))
-        return Thinned(kept[few.first], voxel), said
+        return Thinned(kept[few.first], voxel)
     few = thin(points, VOXEL)
     if not cleaned:
-        return few, Cleaning(~flying)
-    found = clean(points[few.first], specks=False)
-    renumbered = np.where(found.kept, np.cumsum(found.kept) - 1, -1)
-    voxel = renumbered[few.voxel]
-    count = int((voxel < 0).sum())
-    share = found.flying / max(found.dropped, 1)
-    jumps = round(count * share)
-    said = Cleaning(voxel >= 0, flying=jumps, outliers=count - jumps)
-    return Thinned(few.first[found.kept], voxel), said
+        return few
+    sound = clean(points[few.first], specks=False).kept
+    return Thinned(few.first[sound], np.where(sound, np.cumsum(sound) - 1, -1)[few.voxel])
 
 
 def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -> Array:
@@ -259,23 +223,20 @@ def sighting(
         cleaned: Drop specks and outliers of the object.
         is_target: Whether a mask applies to this object.
     """
-    mine = view.label == item.label
+    mine, mask = view.label == item.label, view.cloud.mask
     rays = None
-    if view.mask is not None and is_target:
-        mine &= view.mask
+    if mask is not None and is_target:
+        mine &= mask
         # A generous mask takes in what returns nothing beside the object, too.
-        if (view.mask & ~mine).sum() <= GENEROUS * mine.sum():
-            rays = view.mask_rays
-    points = view.all_points[mine]
+        if (mask & ~mine).sum() <= GENEROUS * mine.sum():
+            rays = view.cloud.mask_rays
+    points = view.cloud.points[mine]
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
     label = view.objects.label
     above = (label >= 0) | (label == LOOSE)
     return Sighting(
         object_points=points[cleaning.kept],
         other_points=view.points[label != item.label],
-        support_plane=view.plane_in_camera(),
-        T_world_camera=view.T_world_camera,
-        image=view.image,
         others_in_world=view.world[above & (label != item.label)],
         cleaning=cleaning,
         object_rays=rays,
@@ -290,7 +251,7 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
         "outside the workspace": OUTSIDE,
         "on the table": TABLE,
         "in groups too small for an object": LOOSE,
-        "in the robot's place" if view.over_table else "on the robot": ROBOT,
+        "in the robot's place" if view.cloud.over_table else "on the robot": ROBOT,
     }
     dropped = [f"{n} {words}" for words, k in count.items() if (n := int((label == k).sum()))]
     kept = len(seen.object_points)
@@ -301,7 +262,9 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
     if unclean:
         dropped.append(f"{unclean} by cleaning")
     total = sum(each.stands for each in view.listed) if item.stands else len(view.listed)
-    which = "the masked object" if view.mask is not None else f"object {item.number} of {total}"
+    which = (
+        "the masked object" if view.cloud.mask is not None else f"object {item.number} of {total}"
+    )
     said = (
         f"{which}, {item.describe() if place else item.sides}: kept {kept} of {len(label)} points"
     )

@@ -69,7 +69,7 @@ def list_objects(
     view = label_table(cloud, str(path), there, q, around, cleaned)
     first = chosen_object(view, None, around)
     objects = tuple(item for item in view.listed if item.stands)
-    if view.mask is not None:
+    if view.cloud.mask is not None:
         objects = (first,)
     if not objects:
         raise NoObjectError("nothing stands on the table", where=path)

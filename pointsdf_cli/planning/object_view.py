@@ -199,7 +199,7 @@ def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> Obj
         view.frame,
         tuple(f"{name}: {note}" for note in said),
         True,
-        view_of(found).evidence,
+        view_of(labelled, found).evidence,
     )
 
 

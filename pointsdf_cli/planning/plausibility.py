@@ -160,7 +160,7 @@ def outside_workspace(labelled: Sequence[LabelledView], reach: Reach) -> str:
         reach: The robot's reach.
     """
     # In a pose made from the table it is not known where the robot will stand.
-    views = [view for view in labelled if not view.over_table]
+    views = [view for view in labelled if not view.cloud.over_table]
     worlds = [view.world[view.objects.label == OUTSIDE] for view in views]
     points = np.concatenate([*worlds, np.zeros((0, 3))])
     level = np.linalg.norm(points[:, :2] - reach.base, axis=1)

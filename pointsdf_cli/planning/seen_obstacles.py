@@ -118,7 +118,7 @@ def _completed(
     network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
 ) -> list[CollisionMesh]:
     stop_if_cancelled()
-    view = view_of(sighting(labelled, item, cleaned, is_target=False))
+    view = view_of(labelled, sighting(labelled, item, cleaned, is_target=False))
     return obstacle_surfaces(network, view, seed)
 
 

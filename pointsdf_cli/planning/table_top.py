@@ -160,7 +160,7 @@ def _look(
     cleaned: bool,
 ) -> TableTop:
     """Find the object in each view: in the other cameras, the one that the first camera chose."""
-    seen: list[Sighting] = []
+    seen: list[View] = []
     others, report = [], []
     labelled: list[tuple[LabelledView, int]] = []
     problem: NoObjectError | None = None
@@ -171,9 +171,9 @@ def _look(
             found = sighting(view, item, cleaned)
             if not len(found.object_points):
                 raise NoObjectError("the mask shows another object", where=name)
-            if view.mask is not None:
+            if view.cloud.mask is not None:
                 check_object_cloud(Cloud(found.object_points), f"{name}, under its mask")
-            in_world = apply_transform(found.T_world_camera, found.object_points)
+            in_world = apply_transform(view.T_world_camera, found.object_points)
             _check_sighting(in_world, first, name)
         except NoObjectError as error:
             if first is None and wanted is not None and wanted.place is None:
@@ -184,8 +184,8 @@ def _look(
             others.append(view.world[view.objects.label >= 0])
             labelled.append((view, -1))
             continue
-        report.append(f"{name}: {describe(view, item, found, place=not view.over_table)}")
-        seen.append(found)
+        report.append(f"{name}: {describe(view, item, found, place=not view.cloud.over_table)}")
+        seen.append(view_of(view, found))
         others.append(found.others_in_world)
         labelled.append((view, item.label))
         if first is None:
@@ -193,10 +193,8 @@ def _look(
             wanted = TargetChoice(place=np.median(in_world, axis=0))
     if problem is not None and not seen:
         raise problem
-    views = tuple(view_of(each) for each in seen)
-    return TableTop(
-        views, np.concatenate(others), tuple(report), _table_height(labelled), tuple(labelled)
-    )
+    height = _table_height(labelled)
+    return TableTop(tuple(seen), np.concatenate(others), tuple(report), height, tuple(labelled))
 
 
 def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: str) -> None:
@@ -238,14 +236,12 @@ def _table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
     return float(np.median(heights)) if heights else None
 
 
-def view_of(seen: Sighting) -> View:
-    """The planner's view of one camera's sighting."""
-    pitch = None if seen.image is None else 1.0 / float(seen.image.K[0, 0])
-    image = visibility_image(
-        seen.object_points, seen.other_points, seen.support_plane, pitch, seen.object_rays
-    )
-    evidence = ViewEvidence(image, seen.support_plane)
-    return View(seen.object_points, seen.T_world_camera, evidence)
+def view_of(view: LabelledView, seen: Sighting) -> View:
+    """The planner's view of what was seen of an object in a labelled view."""
+    plane, depth = view.plane_in_camera(), view.cloud.image
+    pitch = None if depth is None else 1.0 / float(depth.K[0, 0])
+    image = visibility_image(seen.object_points, seen.other_points, plane, pitch, seen.object_rays)
+    return View(seen.object_points, view.T_world_camera, ViewEvidence(image, plane))
 
 
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:
@@ -306,7 +302,7 @@ def chosen_object(
         InputError: No object has this number, or both a mask and a target are given.
         NoObjectError: The view shows no object.
     """
-    if view.mask is not None and not again:
+    if view.cloud.mask is not None and not again:
         if wanted is not None:
             raise InputError("--target and --mask", hint="leave one of the two out")
         last = view.objects.count - 1

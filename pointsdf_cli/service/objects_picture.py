@@ -16,9 +16,9 @@ from pointsdf_cli.viz.segment_picture import label_image, segment_picture
 def draw_numbers(picture: Path, listing: Listing, colour: Path | None = None) -> None:
     """Draw the objects with their numbers, on a colour image if there is one."""
     view, mine = listing.view, _numbers(listing)
-    points = view.all_points
-    if view.all_pixels is not None and view.image is not None:
-        pixels, size = view.all_pixels, view.image.depth.shape[::-1]
+    cloud, points = view.cloud, view.cloud.points
+    if cloud.pixels is not None and cloud.image is not None:
+        pixels, size = cloud.pixels, cloud.image.depth.shape[::-1]
     else:
         pixels, size = points[:, :2] / points[:, 2:], None
     at = [
@@ -35,16 +35,16 @@ def draw_labels(path: Path, listing: Listing) -> None:
     Raises:
         InputError: The view has no image.
     """
-    view = listing.view
-    if view.all_pixels is None or view.image is None:
+    cloud = listing.view.cloud
+    if cloud.pixels is None or cloud.image is None:
         raise InputError(
             "is a cloud without an image: it has no pixels to label",
-            where=view.name,
+            where=listing.view.name,
             allowed="a depth image",
             hint="leave --labels out",
         )
-    height, width = view.image.depth.shape
-    label_image(path, view.all_pixels, _numbers(listing), (width, height))
+    height, width = cloud.image.depth.shape
+    label_image(path, cloud.pixels, _numbers(listing), (width, height))
 
 
 def _numbers(listing: Listing) -> NDArray[np.int64]:
