@@ -58,11 +58,10 @@ class SqpConfig:
 
 
 class Sqp:
-    """Solver for any number of problems; its quadratic programs are reused."""
+    """Solver for any number of problems."""
 
     def __init__(self, config: SqpConfig | None = None) -> None:
         self.config = config or SqpConfig()
-        self._programs: dict[tuple[int, int], StepQp] = {}
 
     def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
@@ -70,6 +69,7 @@ class Sqp:
         x = np.clip(np.asarray(starts, dtype=np.float64), problem.lower, problem.upper)
         count, n = x.shape
         now = _copy(problem.evaluate(x))
+        program = StepQp(n, now.constraints.shape[1])
         evaluations = count
         rest = np.tile(DAMPING * np.eye(n), (count, 1, 1))
         radius = np.full(count, config.radius)
@@ -82,7 +82,7 @@ class Sqp:
             live = np.flatnonzero(~(done | ended))
             if not len(live):
                 break
-            step, promised = self._steps(problem, x, now, rest, radius, penalty, live)
+            step, promised = self._steps(problem, program, x, now, rest, radius, penalty, live)
             trial = np.clip(x[live] + step, problem.lower, problem.upper)
             new = _copy(problem.evaluate(trial))
             evaluations += len(live)
@@ -93,7 +93,9 @@ class Sqp:
             back = np.flatnonzero((gain < 0.25) & (new.violation > 0))
             if len(back):
                 evaluations += len(back)
-                after[back] = self._correct(problem, trial, new, back, radius, penalty, live, after)
+                after[back] = self._correct(
+                    problem, program, trial, new, back, radius, penalty, live, after
+                )
             gain = (before - after) / np.maximum(promised, 1e-300)
             better = (gain > 1e-3) & (after < before)
             length = np.abs(trial - x[live]).max(axis=1)
@@ -142,6 +144,7 @@ class Sqp:
     def _steps(
         self,
         problem: Problem,
+        program: StepQp,
         x: Array,
         now: Evaluation,
         rest: Array,
@@ -151,9 +154,7 @@ class Sqp:
     ) -> tuple[Array, Array]:
         """Steps [A, n] of the active starts and the improvement of φ that the model predicts
         [A]."""
-        n, k = x.shape[1], now.constraints.shape[1]
-        program = self._program(n, k)
-        steps, promised = np.empty((len(live), n)), np.empty(len(live))
+        steps, promised = np.empty((len(live), x.shape[1])), np.empty(len(live))
         hessian = now.curvature[live] + rest[live]
         factor = hessian_factors(hessian)
         for i, b in enumerate(live):
@@ -178,6 +179,7 @@ class Sqp:
     def _correct(
         self,
         problem: Problem,
+        program: StepQp,
         trial: Array,
         new: Evaluation,
         back: np.ndarray,
@@ -192,8 +194,7 @@ class Sqp:
         curved boundary is rejected because it leaves the boundary. The correction is the smallest
         step that meets the constraints as linearised at the trial point.
         """
-        n, k = trial.shape[1], new.constraints.shape[1]
-        program = self._program(n, k)
+        n = trial.shape[1]
         corrected = trial[back].copy()
         for i, a in enumerate(back):
             low = np.maximum(-radius[live[a]], problem.lower - trial[a])
@@ -210,12 +211,6 @@ class Sqp:
         for old, fresh in zip(new, there, strict=True):
             old[rows] = fresh[kept]
         return np.minimum(phi, after[back])
-
-    def _program(self, n: int, k: int) -> StepQp:
-        program = self._programs.get((n, k))
-        if program is None:
-            program = self._programs[(n, k)] = StepQp(n, k)
-        return program
 
     def _learn(
         self,

@@ -34,25 +34,19 @@ class StepQp:
 
     def __init__(self, n: int, k: int) -> None:
         self.n, self.k = n, k
-        size = 2 * n + k
+        eye = scipy.sparse.identity
+        parts = [  # the ones are places of F and −J
+            [-eye(n), np.ones((n, n)), None],
+            [None, None, -eye(k)],
+            [None, np.ones((k, n)), -eye(k)],
+            [None, -eye(n), None],
+            [None, eye(n), None],
+        ]
+        self._matrix = scipy.sparse.bmat(parts, format="csc")
         # Column j of d holds F's column, −J's, and the two bounds; nothing else ever changes.
-        each = np.arange(n)
-        column = np.concatenate([each, n + k + np.arange(k), [n + 2 * k], [2 * n + 2 * k]])
-        rows = np.tile(column, (n, 1))
-        rows[:, -2] += each
-        rows[:, -1] += each
-        slack = np.stack([n + np.arange(k), n + k + np.arange(k)], axis=1)
-        indices = np.concatenate([each, rows.ravel(), slack.ravel()])
-        counts = np.concatenate([np.ones(n), np.full(n, n + k + 2), np.full(k, 2)])
-        starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        data = np.full(len(indices), -1.0)
-        self._matrix = scipy.sparse.csc_matrix((data, indices, starts), shape=(3 * n + 2 * k, size))
         self._columns = self._matrix.data[n : n + n * (n + k + 2)].reshape(n, n + k + 2)
-        self._columns[:, -1] = 1.0
-        ones = np.concatenate([np.ones(n, dtype=np.int64), np.zeros(n + k, dtype=np.int64)])
-        self._quadratic = scipy.sparse.csc_matrix(
-            (np.ones(n), each, np.concatenate([[0], np.cumsum(ones)])), shape=(size, size)
-        )
+        rest = scipy.sparse.csc_matrix((n + k, n + k))
+        self._quadratic = scipy.sparse.block_diag((eye(n), rest), format="csc")
         self._cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(2 * n + 2 * k)]
         self._settings = clarabel.DefaultSettings()
         self._settings.verbose = False
