@@ -30,6 +30,22 @@ REASONS = (
 """Reason codes of the plan artifact. "not_tried" (others came first) and "lift" (the arm cannot
 raise the hand from there) apply to rejected grasps only."""
 
+COLLISIONS = {
+    "object": (
+        "object_collision",
+        "the object",
+        "it may be larger than the open hand; ask for the other --kind",
+    ),
+    "table": (
+        "table_collision",
+        "the table",
+        "the object may be too low for this kind; ask for the other --kind",
+    ),
+    "obstacle": ("table_collision", "an obstacle", "clear the space around the object"),
+    "itself": ("self_collision", "the robot itself", "move the object away from the robot's base"),
+}
+"""Reason, name of what is met and advice, by the field of `SeedStatistics`."""
+
 FREE_SHARE = 0.05
 """Share of free grasps among the reached ones below which collisions are the reason."""
 FEW_GRASPS = 1000
@@ -65,13 +81,17 @@ class SeedStatistics:
     @property
     def in_the_way(self) -> str:
         """Name of the field with the most frequent collision of the reached grasps."""
-        return max(("object", "table", "obstacle", "itself"), key=lambda name: getattr(self, name))
+        return max(COLLISIONS, key=lambda name: getattr(self, name))
+
+    @property
+    def is_hardly_free(self) -> bool:
+        """Whether so few of the reached grasps are free that collisions are the reason."""
+        return self.reached > 0 and self.free < FREE_SHARE * self.reached
 
 
 def is_hemmed_in(statistics: SeedStatistics) -> bool:
     """Whether collisions with obstacles or the robot itself are the reason."""
-    hardly = bool(statistics.reached) and statistics.free < FREE_SHARE * statistics.reached
-    return hardly and statistics.in_the_way in ("obstacle", "itself")
+    return statistics.is_hardly_free and statistics.in_the_way in ("obstacle", "itself")
 
 
 def why_none(
@@ -98,14 +118,13 @@ def why_none(
         )
     if miss is None:
         return "inverse_kinematics", explain("inverse_kinematics", None, seeds_tried, config)
-    if statistics.reached and statistics.free < FREE_SHARE * statistics.reached:
-        reason = {
-            "object": "object_collision",
-            "table": "table_collision",
-            "obstacle": "table_collision",
-            "itself": "self_collision",
-        }[statistics.in_the_way]
-        return reason, _in_the_way(statistics)
+    if statistics.is_hardly_free:
+        met = statistics.in_the_way
+        reason, what, advice = COLLISIONS[met]
+        return reason, (
+            f"Of {statistics.reached} reachable grasps {getattr(statistics, met)} enter {what} "
+            f"({statistics.free} free): {advice}."
+        )
     return miss.reason, explain(miss.reason, miss, seeds_tried, config)
 
 
@@ -140,20 +159,6 @@ def warning(chosen: Candidate, seeds_tried: int) -> str:
         f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing, "
         f"predicted to hold with probability {chosen.success:.2f} only. Turn the object, or look "
         "at it from another side."
-    )
-
-
-def _in_the_way(statistics: SeedStatistics) -> str:
-    met = statistics.in_the_way
-    what, advice = {
-        "object": ("the object", "it may be larger than the open hand; ask for the other --kind"),
-        "table": ("the table", "the object may be too low for this kind; ask for the other --kind"),
-        "obstacle": ("an obstacle", "clear the space around the object"),
-        "itself": ("the robot itself", "move the object away from the robot's base"),
-    }[met]
-    return (
-        f"Of {statistics.reached} reachable grasps {getattr(statistics, met)} enter {what} "
-        f"({statistics.free} free): {advice}."
     )
 
 
