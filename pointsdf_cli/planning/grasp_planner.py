@@ -98,6 +98,9 @@ class GraspPlanner:
         options: Options; the defaults if None.
         grasps: The success network to use instead of a checkpoint's.
 
+    Attributes:
+        shape: The reconstruction network; None in partial-view grasping.
+
     Raises:
         InputError: The robot or a checkpoint cannot be used.
     """
@@ -108,12 +111,11 @@ class GraspPlanner:
         self.options = options = options or PlanOptions()
         self.robot = load_robot(options.robot)
         self.planner = Planner(self.robot, options.planner)
-        self._reconstructs = options.method == RECONSTRUCTION
-        self._shape = None
-        if self._reconstructs:
+        self.shape: ShapeModel | None = None
+        if options.method == RECONSTRUCTION:
             success = options.grasp_checkpoint or bundled_success(self.robot)
             shape = options.checkpoint or reconstruction_for(success)
-            self._shape = load_model(shape, options.device)
+            self.shape = load_model(shape, options.device)
         path = options.grasp_checkpoint
         if path is None and options.method == PARTIAL_VIEW:
             # Where none from scratch is bundled, both methods use the one on geometry, which then
@@ -124,11 +126,6 @@ class GraspPlanner:
     def doubts(self) -> list[str]:
         """Sentences about what makes all plans doubtful."""
         return few_grasps(getattr(self._grasps, "learned_from", None))
-
-    @property
-    def shape(self) -> ShapeModel | None:
-        """The reconstruction network; None in partial-view grasping."""
-        return self._shape
 
     def see(
         self,
@@ -158,8 +155,8 @@ class GraspPlanner:
         grid = grid_for(narrowest(world))
         began = time.perf_counter()
         made: list[Reconstruction] = []
-        if self._shape is not None:
-            made = [completed(self._shape, view, seed) for view in views]
+        if self.shape is not None:
+            made = [completed(self.shape, view, seed) for view in views]
             own = reconstructed_object(made, grid, world)
         else:
             own = seen_object(world, grid)
