@@ -8,6 +8,7 @@ al., AISTATS 2011).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, weights_hash
-from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seeds import MANY_SEEDS
 from pointsdf_cli.planning.synthesis import SynthesisConfig
@@ -62,12 +62,7 @@ class PlannedPreshapes:
         """Load the networks."""
         search = replace(self.options.planner.synthesis, rounds=ROUNDS, seeds=MANY_SEEDS)
         config = replace(self.options.planner, successive_halving=(), synthesis=search)
-        planner = GraspPlanner(replace(self.options, planner=config))
-
-        def propose(scene: ObservedScene, rng: np.random.Generator) -> list[PlannedPreshape]:
-            return _proposals(planner, search, scene, rng)
-
-        return propose
+        return partial(_proposals, GraspPlanner(replace(self.options, planner=config)), search)
 
 
 def _proposals(
@@ -82,8 +77,7 @@ def _proposals(
         return []
     kinds = planner.kinds(perceived.points)
     found = planner.planner.solutions(perceived.target, rng, replace(search, kinds=kinds))
-    free: list[Candidate] = [*found.accepted]
-    free += [c for c in found.rejected if c.reason in UNLIKELY]
+    free = found.accepted + [c for c in found.rejected if c.reason in UNLIKELY]
     chain = planner.planner.inverse.chain
     chosen = rng.permutation(len(free))[:SCENE_ATTEMPTS]
     return [PlannedPreshape(free[k].kind, chain.palm(free[k].q), free[k].q) for k in chosen]
