@@ -73,9 +73,7 @@ class Objective:
         with torch.enable_grad():
             palm = self._kinematics.palm(self._variables.configuration_tensor(leaf))
             preshape = self._variables.preshape(leaf)
-            success = self.score.log_success(preshape, palm).to(leaf.dtype)
-            prior = self.score.log_prior(preshape, palm).to(leaf.dtype)
-            residual = (-success - ALPHA * prior - BETA).clamp(min=0)
+            success, prior, residual = self._terms(preshape, palm)
             (gradient,) = torch.autograd.grad(residual.sum(), leaf)
         r = residual.detach().numpy()
         return Cost(r**2, r, gradient.numpy(), success.detach().numpy(), prior.detach().numpy())
@@ -84,7 +82,11 @@ class Objective:
         """The cost [B] of preshapes [B, K] at palm poses [B, 4, 4], independent of the arm."""
         hand, palm = torch.from_numpy(preshape), torch.from_numpy(T_world_palm)
         with torch.no_grad():
-            success = self.score.log_success(hand, palm).double()
-            prior = self.score.log_prior(hand, palm).double()
-        residual = (-success - ALPHA * prior - BETA).clamp(min=0)
+            _, _, residual = self._terms(hand, palm)
         return np.asarray(residual.square().numpy())
+
+    def _terms(self, preshape: Tensor, T_world_palm: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """log h, log g and the residual [B]."""
+        success = self.score.log_success(preshape, T_world_palm).double()
+        prior = self.score.log_prior(preshape, T_world_palm).double()
+        return success, prior, (-success - ALPHA * prior - BETA).clamp(min=0)
