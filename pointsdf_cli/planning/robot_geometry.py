@@ -133,25 +133,12 @@ def link_body(link: int, name: str, shape: Shape) -> Body:
         geometry, radius = coal.Sphere(float(shape.size[0])), float(shape.size[0])
     else:
         corners, faces = shape.triangles()
-        geometry = coal.Convex(coal_points(corners), coal_triangles(faces))
+        points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        points.extend(list(np.asarray(corners, dtype=np.float64)))
+        triangles.extend([coal.Triangle(*map(int, face)) for face in faces])
+        geometry = coal.Convex(points, triangles)
         radius = float(np.linalg.norm(apply_transform(shape.pose, corners) - centre, axis=1).max())
     return Body(link, name, geometry, np.asarray(shape.pose), centre, radius)
-
-
-def coal_points(vertices: Array) -> coal.StdVec_Vec3s:
-    """Corners in coal's type."""
-    points = coal.StdVec_Vec3s()
-    for vertex in vertices:
-        points.append(np.asarray(vertex, dtype=np.float64))
-    return points
-
-
-def coal_triangles(faces: NDArray[np.integer]) -> coal.StdVec_Triangle:
-    """Triangles in coal's type."""
-    triangles = coal.StdVec_Triangle()
-    for a, b, c in faces:
-        triangles.append(coal.Triangle(int(a), int(b), int(c)))
-    return triangles
 
 
 def _split(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
