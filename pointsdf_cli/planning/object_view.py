@@ -16,6 +16,7 @@ from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.segmentation import SegmentationConfig
+    from pointsdf_cli.camera.view import View
     from pointsdf_cli.planning.mesh_choices import MeshChoices
     from pointsdf_cli.planning.object_choice import TargetChoice
     from pointsdf_cli.robot.description import RobotDescription
@@ -143,25 +144,27 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
         points, T_frame_camera = alone.in_camera_frame()
     except InputError as error:
         raise InputError.of(error, name) from error
-    standing = "" if view.mask is None else _on_its_table(view, len(points), name, cleaned)
-    if isinstance(standing, ObjectView):
-        check_object_cloud(Cloud(standing.points), f"{name}, under its mask")
-        return standing
+    seen, note, around = None, "", None
     if view.mask is None:  # what a mask takes in by mistake may be far away
         check_object_cloud(alone, name)
-    points, said = bare_object(alone, cleaned)
+    else:
+        seen, note = _on_its_table(view, len(points), name, cleaned)
+    if seen is not None:
+        points, around, said = seen.points, seen.evidence, ""
+    else:
+        points, said = bare_object(alone, cleaned)
     if view.mask is not None:
         check_object_cloud(Cloud(points), f"{name}, under its mask")
-    around = None if view.mask is None else _around_mask(view, points)
-    notes = [*view.notes, *filter(None, (said, standing))]
-    return ObjectView(
-        points, T_frame_camera, view.frame, tuple(f"{name}: {note}" for note in notes), True, around
-    )
+        around = around or _around_mask(view, points)
+    notes = tuple(f"{name}: {each}" for each in (*view.notes, said, note) if each)
+    return ObjectView(points, T_frame_camera, view.frame, notes, True, around)
 
 
-def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> ObjectView | str:
-    """The object under a view's mask, as it is seen with a pose; without a table under it, or
-    where the mask shows only the table, a warning (which may be empty).
+def _on_its_table(
+    view: Cloud, under_mask: int, name: str, cleaned: bool
+) -> tuple[View | None, str]:
+    """The object under a view's mask as it is seen with a pose, and a note on it; without a table
+    under it, or where the mask shows only the table, None and a warning (which may be empty).
 
     The table is looked for in the view. Where it is known, a mask that is too small can grow, and
     the table's rays are known to miss the object.
@@ -176,31 +179,23 @@ def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> Obj
     from pointsdf_cli.planning.object_choice import NoObjectError
     from pointsdf_cli.planning.table_top import chosen_object, view_of
 
-    points, T_frame_camera = view.in_camera_frame()
+    points, _ = view.in_camera_frame()
     try:
         above = pose_over_plane(find_support_plane(points))
         posed = replace(view, points=points, frame="camera", T_world_camera=above, over_table=True)
     except InputError:
-        return ""
+        return None, ""
     try:
         labelled = label_view(posed, name, ANYWHERE, cleaned=cleaned)
         item = chosen_object(labelled, None, ANYWHERE)
     except (InputError, NoObjectError) as error:
-        return f"warning: {error.what}"
+        return None, f"warning: {error.what}"
     if not item.stands:
-        return ""
+        return None, ""
     found = sighting(labelled, item, cleaned)
     if item.size[2] < FLAT and len(found.object_points) < LEAST_ABOVE * under_mask:
-        return ""
-    said = [*view.notes, describe(labelled, item, found, place=False)]
-    return ObjectView(
-        found.object_points,
-        T_frame_camera,
-        view.frame,
-        tuple(f"{name}: {note}" for note in said),
-        True,
-        view_of(labelled, found).evidence,
-    )
+        return None, ""
+    return view_of(labelled, found), describe(labelled, item, found, place=False)
 
 
 def _around_mask(view: Cloud, points: Array) -> ViewEvidence:
