@@ -65,169 +65,170 @@ class Sqp:
 
     def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
-        config = self.config
-        x = np.clip(np.asarray(starts, dtype=np.float64), problem.lower, problem.upper)
-        count, n = x.shape
-        now = _copy(problem.evaluate(x))
-        program = StepQp(n, now.constraints.shape[1])
-        evaluations = count
-        rest = np.tile(DAMPING * np.eye(n), (count, 1, 1))
-        radius = np.full(count, config.radius)
-        penalty = np.full(count, PENALTY)
-        done, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        for turn in range(iterations or config.iterations):
+        search = _Search(problem, starts, self.config)
+        halvings = self.config.successive_halving
+        for turn in range(iterations or self.config.iterations):
             stop_if_cancelled()
-            if turn in config.successive_halving:
-                ended |= self._worse(now, config.successive_halving.index(turn) + 1)
-            live = np.flatnonzero(~(done | ended))
-            if not len(live):
+            if turn in halvings:
+                search.end_worse(halvings.index(turn) + 1)
+            if not search.advance():
                 break
-            step, promised = self._steps(problem, program, x, now, rest, radius, penalty, live)
-            trial = np.clip(x[live] + step, problem.lower, problem.upper)
-            new = _copy(problem.evaluate(trial))
-            evaluations += len(live)
-            before = _penalised(now, penalty[live], live)
-            after = _penalised(new, penalty[live])
-            self._learn(rest, live, x, trial, now, new)
-            gain = (before - after) / np.maximum(promised, 1e-300)
-            back = np.flatnonzero((gain < 0.25) & (new.violation > 0))
-            if len(back):
-                evaluations += len(back)
-                after[back] = self._correct(
-                    problem, program, trial, new, back, radius, penalty, live, after
-                )
-            gain = (before - after) / np.maximum(promised, 1e-300)
-            better = (gain > 1e-3) & (after < before)
-            length = np.abs(trial - x[live]).max(axis=1)
-            grown = np.minimum(2 * radius[live], LARGEST_RADIUS)
-            radius[live] = np.where(
-                gain < 0.25,
-                0.4 * np.minimum(radius[live], np.maximum(length, config.smallest_radius)),
-                np.where((gain > 0.75) & (length > 0.8 * radius[live]), grown, radius[live]),
-            )
-            taken = live[better]
-            x[taken] = trial[better]
-            for kept, fresh in zip(now, new, strict=True):
-                kept[taken] = fresh[better]
-            little = config.tolerance * np.maximum(1.0, now.objective[live])
-            settled = (promised < little) | (radius[live] < config.smallest_radius)
-            self._settle(live[settled], now, radius, penalty, done)
         return Solutions(
-            x=x,
-            objective=now.objective,
-            violation=now.violation,
-            converged=done & (now.violation <= FEASIBLE),
-            evaluations=evaluations,
+            x=search.x,
+            objective=search.now.objective,
+            violation=search.now.violation,
+            converged=search.done & (search.now.violation <= FEASIBLE),
+            evaluations=search.evaluations,
         )
 
-    def _worse(self, now: Evaluation, times: int) -> np.ndarray:
-        """Mask [B] of the starts that stop after `times` halvings: all but the best."""
-        count = len(now.objective)
+
+class _Search:
+    """B starts on their way to a minimum.
+
+    Args:
+        problem: Problem of n variables.
+        starts: [B, n].
+        config: Limits.
+
+    Attributes:
+        x: [B, n], the best points so far.
+        now: The problem there.
+        done: [B], starts that can improve no more.
+        evaluations: Number of evaluations, summed over starts.
+    """
+
+    def __init__(self, problem: Problem, starts: Array, config: SqpConfig) -> None:
+        self._problem, self._config, self.evaluations = problem, config, 0
+        self.x = self._within(np.asarray(starts, dtype=np.float64))
+        count, n = self.x.shape
+        self.now = self._evaluated(self.x)
+        self._program = StepQp(n, self.now.constraints.shape[1])
+        self._rest = np.tile(DAMPING * np.eye(n), (count, 1, 1))
+        self._radius = np.full(count, config.radius)
+        self._penalty = np.full(count, PENALTY)
+        self.done, self._ended = np.zeros((2, count), dtype=bool)
+
+    def end_worse(self, times: int) -> None:
+        """End all starts but the best, after `times` halvings."""
+        count = len(self.x)
         kept = max(LEAST_KEPT, -(-count // 2**times))
-        phi = _penalised(now, np.full(count, PENALTY))
-        worse = np.zeros(count, dtype=bool)
-        worse[np.argsort(phi, kind="stable")[kept:]] = True
-        return worse
+        phi = _penalised(self.now, np.full(count, PENALTY))
+        self._ended[np.argsort(phi, kind="stable")[kept:]] = True
 
-    def _settle(
-        self, rows: np.ndarray, now: Evaluation, radius: Array, penalty: Array, done: np.ndarray
-    ) -> None:
+    def advance(self) -> bool:
+        """One iteration of the A active starts; False without any."""
+        live = np.flatnonzero(~(self.done | self._ended))
+        if not len(live):
+            return False
+        now, config, radius = self.now, self._config, self._radius[live]
+        step, promised = self._steps(live)
+        trial = self._within(self.x[live] + step)
+        new = self._evaluated(trial)
+        before = _penalised(now, self._penalty[live], live)
+        after = _penalised(new, self._penalty[live])
+        self._learn(live, trial, new)
+        gain = (before - after) / np.maximum(promised, 1e-300)
+        back = np.flatnonzero((gain < 0.25) & (new.violation > 0))
+        if len(back):
+            after[back] = self._correct(live[back], back, trial, new, after[back])
+        gain = (before - after) / np.maximum(promised, 1e-300)
+        better = (gain > 1e-3) & (after < before)
+        length = np.abs(trial - self.x[live]).max(axis=1)
+        grown = np.minimum(2 * radius, LARGEST_RADIUS)
+        self._radius[live] = np.where(
+            gain < 0.25,
+            0.4 * np.minimum(radius, np.maximum(length, config.smallest_radius)),
+            np.where((gain > 0.75) & (length > 0.8 * radius), grown, radius),
+        )
+        taken = live[better]
+        self.x[taken] = trial[better]
+        for kept, fresh in zip(now, new, strict=True):
+            kept[taken] = fresh[better]
+        little = config.tolerance * np.maximum(1.0, now.objective[live])
+        settled = (promised < little) | (self._radius[live] < config.smallest_radius)
+        self._settle(live[settled])
+        return True
+
+    def _within(self, x: Array) -> Array:
+        return np.clip(x, self._problem.lower, self._problem.upper)
+
+    def _evaluated(self, x: Array) -> Evaluation:
+        """A copy of the problem at x [A, n]."""
+        self.evaluations += len(x)
+        return Evaluation(*(np.array(part) for part in self._problem.evaluate(x)))
+
+    def _settle(self, rows: np.ndarray) -> None:
         """Stop starts that can improve no more, or continue them with a higher penalty."""
-        config = self.config
-        violated = now.violation[rows] > FEASIBLE
-        raise_more = violated & (penalty[rows] < 50 * PENALTY)
+        violated = self.now.violation[rows] > FEASIBLE
+        raise_more = violated & (self._penalty[rows] < 50 * PENALTY)
         again = rows[raise_more]
-        penalty[again] *= 10
-        radius[again] = config.radius
-        done[rows[~raise_more]] = True
+        self._penalty[again] *= 10
+        self._radius[again] = self._config.radius
+        self.done[rows[~raise_more]] = True
 
-    def _steps(
-        self,
-        problem: Problem,
-        program: StepQp,
-        x: Array,
-        now: Evaluation,
-        rest: Array,
-        radius: Array,
-        penalty: Array,
-        live: np.ndarray,
-    ) -> tuple[Array, Array]:
+    def _steps(self, live: np.ndarray) -> tuple[Array, Array]:
         """Steps [A, n] of the active starts and the improvement of φ that the model predicts
         [A]."""
-        steps, promised = np.empty((len(live), x.shape[1])), np.empty(len(live))
-        hessian = now.curvature[live] + rest[live]
+        now = self.now
+        steps, promised = np.empty((len(live), self.x.shape[1])), np.empty(len(live))
+        hessian = now.curvature[live] + self._rest[live]
         factor = hessian_factors(hessian)
         for i, b in enumerate(live):
-            low = np.maximum(-radius[b], problem.lower - x[b])
-            high = np.minimum(radius[b], problem.upper - x[b])
-            step = program.solve(
-                factor[i],
-                now.gradient[b],
-                now.jacobian[b],
-                now.constraints[b],
-                low,
-                high,
-                float(penalty[b]),
-            )
+            gradient, jacobian, values = now.gradient[b], now.jacobian[b], now.constraints[b]
+            penalty = float(self._penalty[b])
+            bounds = self._bounds(b, self.x[b])
+            step = self._program.solve(factor[i], gradient, jacobian, values, *bounds, penalty)
             steps[i] = step
-            linear = now.constraints[b] + now.jacobian[b] @ step
-            model = now.gradient[b] @ step + 0.5 * step @ hessian[i] @ step
-            saved = np.maximum(0, -now.constraints[b]).sum() - np.maximum(0, -linear).sum()
-            promised[i] = penalty[b] * saved - model
+            linear = values + jacobian @ step
+            model = gradient @ step + 0.5 * step @ hessian[i] @ step
+            saved = np.maximum(0, -values).sum() - np.maximum(0, -linear).sum()
+            promised[i] = penalty * saved - model
         return steps, promised
 
+    def _bounds(self, b: int, x: Array) -> tuple[Array, Array]:
+        """Least and largest steps [n] of start b from x [n], by its trust region and the limits."""
+        low = np.maximum(-self._radius[b], self._problem.lower - x)
+        return low, np.minimum(self._radius[b], self._problem.upper - x)
+
     def _correct(
-        self,
-        problem: Problem,
-        program: StepQp,
-        trial: Array,
-        new: Evaluation,
-        back: np.ndarray,
-        radius: Array,
-        penalty: Array,
-        live: np.ndarray,
-        after: Array,
+        self, starts: np.ndarray, rows: np.ndarray, trial: Array, new: Evaluation, after: Array
     ) -> Array:
         """Move trial points that left a curved constraint back onto it; returns their φ [C].
 
         This second-order correction avoids the Maratos effect: without it a good step along a
         curved boundary is rejected because it leaves the boundary. The correction is the smallest
         step that meets the constraints as linearised at the trial point.
+
+        Args:
+            starts, rows: [C], the starts, and their rows of `trial` and `new`.
+            trial, new: Trial points [A, n] of the active starts, and the problem there.
+            after: [C], φ at these trial points.
         """
         n = trial.shape[1]
-        corrected = trial[back].copy()
-        for i, a in enumerate(back):
-            low = np.maximum(-radius[live[a]], problem.lower - trial[a])
-            high = np.minimum(radius[live[a]], problem.upper - trial[a])
-            corrected[i] += program.solve(
+        corrected = trial[rows].copy()
+        for i, (b, a) in enumerate(zip(starts, rows, strict=True)):
+            low, high = self._bounds(b, trial[a])
+            corrected[i] += self._program.solve(
                 np.eye(n), np.zeros(n), new.jacobian[a], new.constraints[a], low, high, 1e3
             )
-        corrected = np.clip(corrected, problem.lower, problem.upper)
-        there = problem.evaluate(corrected)
-        phi = _penalised(there, penalty[live[back]])
-        kept = phi < after[back]
-        rows = back[kept]
-        trial[rows] = corrected[kept]
+        corrected = self._within(corrected)
+        there = self._evaluated(corrected)
+        phi = _penalised(there, self._penalty[starts])
+        kept = phi < after
+        trial[rows[kept]] = corrected[kept]
         for old, fresh in zip(new, there, strict=True):
-            old[rows] = fresh[kept]
-        return np.minimum(phi, after[back])
+            old[rows[kept]] = fresh[kept]
+        return np.minimum(phi, after)
 
-    def _learn(
-        self,
-        rest: Array,
-        live: np.ndarray,
-        x: Array,
-        trial: Array,
-        now: Evaluation,
-        new: Evaluation,
-    ) -> None:
+    def _learn(self, live: np.ndarray, trial: Array, new: Evaluation) -> None:
         """Damped BFGS of the curvature beyond the given one (Powell 1978)."""
-        s = trial - x[live]
-        y = new.gradient - now.gradient[live]
+        rest = self._rest
+        s = trial - self.x[live]
+        y = new.gradient - self.now.gradient[live]
         y = y - (new.curvature @ s[..., None])[..., 0]
         # The first estimate takes its scale from the first change of slope (Nocedal & Wright 6.20).
         sy, yy = (s * y).sum(axis=1), (y * y).sum(axis=1)
-        fresh = (rest[live] == DAMPING * np.eye(x.shape[1])).all(axis=(1, 2)) & (sy > 0)
+        fresh = (rest[live] == DAMPING * np.eye(s.shape[1])).all(axis=(1, 2)) & (sy > 0)
         scale = np.clip(yy[fresh] / sy[fresh], DAMPING, 1e6)
         rest[live[fresh]] *= scale[:, None, None] / DAMPING
         B = rest[live]
@@ -247,10 +248,6 @@ class Sqp:
         )
         # Rounding must not take positive definiteness away.
         rest[row] += 1e-9 * np.eye(rest.shape[1])
-
-
-def _copy(evaluation: Evaluation) -> Evaluation:
-    return Evaluation(*(np.array(part) for part in evaluation))
 
 
 def hessian_factors(hessian: Array) -> Array:
