@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import scipy
 
@@ -34,34 +36,26 @@ class Slsqp:
         )
 
     def _one(self, problem: Problem, start: Array, iterations: int) -> tuple[Array, bool, int]:
-        memory = _Memory(problem)
+        @lru_cache(maxsize=1)
+        def evaluated(point: bytes) -> Evaluation:
+            return problem.evaluate_grouped(np.frombuffer(point)[None])
+
+        def at(x: Array) -> Evaluation:
+            """The last evaluation, shared by SciPy's calls for value, gradient and constraints."""
+            return evaluated(x.tobytes())
+
         result = scipy.optimize.minimize(
-            lambda x: float(memory(x).objective[0]),
+            lambda x: float(at(x).objective[0]),
             start,
-            jac=lambda x: memory(x).gradient[0],
+            jac=lambda x: at(x).gradient[0],
             bounds=np.column_stack([problem.lower, problem.upper]),
             constraints={
                 "type": "ineq",
-                "fun": lambda x: memory(x).constraints[0],
-                "jac": lambda x: memory(x).jacobian[0],
+                "fun": lambda x: at(x).constraints[0],
+                "jac": lambda x: at(x).jacobian[0],
             },
             method="SLSQP",
             options={"maxiter": iterations, "ftol": TOLERANCE},
         )
         x = np.clip(result.x, problem.lower, problem.upper)
-        return x, bool(result.success), memory.count
-
-
-class _Memory:
-    """Last evaluation, shared by SciPy's calls for value, gradient and constraints."""
-
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
-        self._x: Array | None = None
-        self.count = 0
-
-    def __call__(self, x: Array) -> Evaluation:
-        if self._x is None or not np.array_equal(x, self._x):
-            self._x, self.count = x.copy(), self.count + 1
-            self._last = self._problem.evaluate_grouped(x[None])
-        return self._last
+        return x, bool(result.success), evaluated.cache_info().misses
