@@ -87,12 +87,13 @@ def no_plan(
     timings: Mapping[str, float] | None = None,
 ) -> Plan:
     """Make a plan artifact with a reason only: nothing could be tried."""
-    joints, links = len(robot.joint_names), shaped_links(robot)
+    joints = len(robot.joint_names)
+    links = tuple(link for link in robot.tree.links if robot.tree.shapes[link])
     nothing = np.full(len(links), np.nan)
     return Plan(
         status=NO_PLAN,
         reason=reason,
-        sentence=with_warnings(sentence, warnings),
+        sentence=f"{sentence} {as_sentences(warnings)}".strip(),
         joint_names=robot.joint_names,
         q=np.full(joints, np.nan),
         trajectory=np.zeros((0, joints)),
@@ -108,16 +109,6 @@ def no_plan(
         rejected=_rejected(joints, ()),
         accepted=_accepted(joints, ()),
     )
-
-
-def with_warnings(sentence: str, warnings: Sequence[str]) -> str:
-    """A plan's sentence followed by warnings."""
-    return f"{sentence} {as_sentences(warnings)}".strip()
-
-
-def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
-    """The links that have a shape, in the order of the plan's clearances."""
-    return tuple(link for link in robot.tree.links if robot.tree.shapes[link])
 
 
 def _accepted(joints: int, candidates: Sequence[Candidate]) -> AcceptedGrasps:
