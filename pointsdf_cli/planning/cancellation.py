@@ -13,7 +13,7 @@ from contextvars import ContextVar
 
 from pointsdf_cli.errors import RgraspError
 
-_stopped: ContextVar[Callable[[], bool] | None] = ContextVar("stopped", default=None)
+_stopped: ContextVar[Callable[[], bool]] = ContextVar("stopped", default=lambda: False)
 
 
 class CancelledError(RgraspError):
@@ -26,8 +26,7 @@ def stop_if_cancelled() -> None:
     Raises:
         CancelledError: It was cancelled.
     """
-    stopped = _stopped.get()
-    if stopped is not None and stopped():
+    if _stopped.get()():
         raise CancelledError("cancelled")
 
 
