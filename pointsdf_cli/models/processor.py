@@ -164,6 +164,14 @@ def timed(task: Callable[..., T], *arguments: Any) -> tuple[T, float]:
     return task(*arguments), time.perf_counter() - began
 
 
+@contextmanager
+def lap(timings: dict[str, float], stage: str) -> Iterator[None]:
+    """Context whose duration [s] is added to that of a stage."""
+    began = time.perf_counter()
+    yield
+    timings[stage] = timings.get(stage, 0.0) + time.perf_counter() - began
+
+
 def even_parts(rows: Tensor, most: int) -> list[Tensor]:
     """Split rows [N, ...] into parts of at most `most`: equally many for each of PyTorch's threads
     and about equally long, so that no thread waits for another. On other devices than the CPU, into

@@ -12,7 +12,6 @@ by the seen points alone, meshed at 32³, and judges by an encoder that learned 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.models.processor import timed
+from pointsdf_cli.models.processor import lap, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -153,34 +152,32 @@ class GraspPlanner:
             raise InputError("no list of views", where="views", allowed="[View, …], one or more")
         world = np.concatenate([view.in_world for view in views])
         grid = grid_for(narrowest(world))
-        began = time.perf_counter()
         made: list[Reconstruction] = []
-        if self.shape is not None:
-            made = [completed(self.shape, view, seed) for view in views]
-            own = reconstructed_object(made, grid, world)
-        else:
-            own = seen_object(world, grid)
-        stop_if_cancelled()
-        timings = {"reconstruction": time.perf_counter() - began}
-        began = time.perf_counter()
-        first = views[0]
-        grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
-        timings["score"] = time.perf_counter() - began
-        began = time.perf_counter()
-        if isinstance(field, str):
-            constraint = absent_object(world)
-        elif field is not None:
-            constraint = given_object(field, world, grid)
-        elif made:
-            # The score was trained on the network's field; the constraint adds the seen points
-            # that this field misses.
-            hidden = unseen_support(own, views) if table else np.zeros((0, 3))
-            known = np.concatenate([world, hidden])
-            whole = enclosing(own, made, hidden, grid) if len(hidden) else own
-            constraint = with_surface(with_seen_points(whole, known), made, known)
-        else:
-            constraint = own
-        timings["surface"] = time.perf_counter() - began
+        timings: dict[str, float] = {}
+        with lap(timings, "reconstruction"):
+            if self.shape is not None:
+                made = [completed(self.shape, view, seed) for view in views]
+                own = reconstructed_object(made, grid, world)
+            else:
+                own = seen_object(world, grid)
+            stop_if_cancelled()
+        with lap(timings, "score"):
+            first = views[0]
+            grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
+        with lap(timings, "surface"):
+            if isinstance(field, str):
+                constraint = absent_object(world)
+            elif field is not None:
+                constraint = given_object(field, world, grid)
+            elif made:
+                # The score was trained on the network's field; the constraint adds the seen points
+                # that this field misses.
+                hidden = unseen_support(own, views) if table else np.zeros((0, 3))
+                known = np.concatenate([world, hidden])
+                whole = enclosing(own, made, hidden, grid) if len(hidden) else own
+                constraint = with_surface(with_seen_points(whole, known), made, known)
+            else:
+                constraint = own
         reconstruction = made[0] if made else None
         target = Target.of(constraint, grasps, grasps)
         return PerceivedObject(target, world, reconstruction, timings)

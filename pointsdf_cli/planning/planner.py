@@ -13,7 +13,7 @@ from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.models.processor import one_thread
+from pointsdf_cli.models.processor import lap, one_thread, timed
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.antipodal import antipodal_grasps
 from pointsdf_cli.planning.closing_check import ClosingCheck
@@ -188,25 +188,23 @@ class Planner:
                 allowed=f"{len(self.robot.home)}: " + ", ".join(self.robot.joint_names),
             )
         began = time.perf_counter()
-        problems = self.problems(target, environment)
-        field_time = time.perf_counter() - began
+        problems, field_time = timed(self.problems, target, environment)
         rng, pairs = np.random.default_rng(seed), np.random.default_rng((seed, PAIRS))
         asked = search or self.config.synthesis
         found = self._synthesised(problems, target, rng, pairs, asked)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
-        began = time.perf_counter()
-        field = problems.polish.object.field
-        checker = PathChecker(
-            self.geometry,
-            field.cautious() if isinstance(field, RefinedField) else field,
-            environment,
-            self.config.clearances,
-            bodies=problems.polish.bodies,
-        )
-        with one_thread():  # a few configurations at a time: nothing to share out
+        # A few configurations at a time: nothing to share out between threads.
+        with lap(timings, "motion"), one_thread():
+            field = problems.polish.object.field
+            checker = PathChecker(
+                self.geometry,
+                field.cautious() if isinstance(field, RefinedField) else field,
+                environment,
+                self.config.clearances,
+                bodies=problems.polish.bodies,
+            )
             best, motion, found = self._with_motion(checker, found, start, seed)
-        timings["motion"] = time.perf_counter() - began
         return Outcome(problems.polish, self.inverse.chain, found, best, motion, timings)
 
     def _searches(

@@ -7,12 +7,12 @@ which is cheap because only points near the object evaluate it.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pointsdf_cli.models.processor import lap
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate, judge
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.closing_check import ClosingCheck
@@ -152,21 +152,17 @@ def synthesise(
     for turn in range(config.rounds):
         stop_if_cancelled()
         kind = config.kinds[turn % len(config.kinds)]
-        start = time.perf_counter()
-        problems = whole.in_round(turn, clearance + SOLVER_MARGIN)
-        seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
-        _lap(timings, "seeds", start)
+        with lap(timings, "seeds"):
+            problems = whole.in_round(turn, clearance + SOLVER_MARGIN)
+            seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
         stop_if_cancelled()
         candidates = _solved(problems, seeds, accepted, solver, config, timings)
-        start = time.perf_counter()
-        for source in [*unsolved, *_beside(accepted, whole.exact, kinematics)]:
-            candidates += _judged(problems, source, kinematics, kind, rng, config)
-        _lap(timings, "check", start)
-        if closing is not None:
-            start = time.perf_counter()
-            candidates = closing.judged(candidates, config.acceptance)
-            _lap(timings, "check", start)
+        with lap(timings, "check"):
+            for source in [*unsolved, *_beside(accepted, whole.exact, kinematics)]:
+                candidates += _judged(problems, source, kinematics, kind, rng, config)
+            if closing is not None:
+                candidates = closing.judged(candidates, config.acceptance)
         new = [c for c in candidates if not c.reason]
         accepted += new
         before = _best_fallback(rejected, config)
@@ -198,16 +194,15 @@ def _solved(
     """
     if not len(seeds.x):
         return []
-    start = time.perf_counter()
-    found = solver.solve(problems.quick, seeds.x)
-    stop_if_cancelled()
-    start = _lap(timings, "solve", start)
-    # Feasible ones by objective, then the others by violation.
-    violated = np.where(found.violation > 1e-3, found.violation, 0.0)
-    order = np.lexsort((found.objective, violated))
-    kinds = [seeds.kinds[k] for k in order]
-    candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
-    _lap(timings, "check", start)
+    with lap(timings, "solve"):
+        found = solver.solve(problems.quick, seeds.x)
+        stop_if_cancelled()
+    with lap(timings, "check"):
+        # Feasible ones by objective, then the others by violation.
+        violated = np.where(found.violation > 1e-3, found.violation, 0.0)
+        order = np.lexsort((found.objective, violated))
+        kinds = [seeds.kinds[k] for k in order]
+        candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
     best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
     _polish(problems, candidates, kinds, best, solver, config, timings)
     return candidates
@@ -260,14 +255,13 @@ def _polish(
     ][:POLISHED]
     if not again or problems.polish is problems.quick:
         return
-    start = time.perf_counter()
-    near = np.stack([candidates[k].x for k in again])
-    polished = solver.solve(problems.polish, near, POLISH_ITERATIONS).x
-    start = _lap(timings, "polish", start)
-    better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
+    with lap(timings, "polish"):
+        near = np.stack([candidates[k].x for k in again])
+        polished = solver.solve(problems.polish, near, POLISH_ITERATIONS).x
+    with lap(timings, "check"):
+        better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
     for k, candidate in zip(again, better, strict=True):
         candidates[k] = candidate
-    _lap(timings, "check", start)
 
 
 def _outcome(
@@ -304,9 +298,3 @@ def _best_fallback(candidates: list[Candidate], config: SynthesisConfig) -> floa
     """Least objective of the fallbacks."""
     fallbacks = (c.objective for c in candidates if c.is_fallback(config.acceptance))
     return min(fallbacks, default=np.inf)
-
-
-def _lap(timings: dict[str, float], stage: str, start: float) -> float:
-    now = time.perf_counter()
-    timings[stage] += now - start
-    return now
