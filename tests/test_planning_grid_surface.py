@@ -7,8 +7,7 @@ import trimesh
 from planning_worlds import BoxField, SphereField
 
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.planning.grid import GridConfig, GridField
-from pointsdf_cli.planning.grid_surface import grid_surface
+from pointsdf_cli.planning.grid import GridConfig, GridField, grid_surface
 
 LOW, HIGH = np.full(3, -0.1), np.full(3, 0.1)
 COARSE = GridConfig(step=0.01, levels=3, band=0.0)

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Indices
-from pointsdf_cli.planning.collision_mesh import CollisionMesh
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.robot_geometry import Body, RobotGeometry, link_body
+from pointsdf_cli.planning.robot_geometry import Body, CollisionMesh, RobotGeometry, link_body
 from pointsdf_cli.robot.shapes import Shape
 
 

@@ -27,7 +27,7 @@ from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.shapes import Shape
 
 if TYPE_CHECKING:
-    from pointsdf_cli.planning.collision_mesh import CollisionMesh
+    from pointsdf_cli.planning.robot_geometry import CollisionMesh
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 KEYS = ("name", *SIZES, "mesh", "scale", "xyz", "wxyz")

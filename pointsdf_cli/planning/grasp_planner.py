@@ -34,7 +34,6 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.answer import NO_NOTES, Answer, PerceivedObject, PlanNotes
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
-from pointsdf_cli.planning.completed_views import completed, unseen_support
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
@@ -42,11 +41,13 @@ from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps, too_large
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, SuccessModel
+from pointsdf_cli.planning.support import unseen_support
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
     Target,
     absent_object,
+    completed,
     enclosing,
     given_object,
     grid_for,

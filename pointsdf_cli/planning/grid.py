@@ -23,13 +23,17 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Indices, Surface
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.geometry.marching_cubes import CORNERS
+from pointsdf_cli.geometry.marching_cubes import CORNERS, cross_cells
 from pointsdf_cli.planning.fields import SeenField
 
 SLOPE = 1.0
 """L, the largest slope assumed: exact for a distance, and as measured for the networks."""
+OUTSIDE = 1e-6
+"""Least value [m] on the sides of the box, which close a surface."""
+END_GAP = 1e-3
+"""Vertices keep this share of an edge away from its ends: triangles do not shrink to nothing."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +154,8 @@ class GridField:
         """Values [I, J, K] m on the nodes of halved cells, from the box's lowest corner, and their
         step [m]: `field`'s own within a step of the surface, else interpolated."""
         step, exact = self.config.step / 2, self._error == 0
-        wanted = any_corner(self._values < 0) & any_corner(self._values >= 0)
-        wanted |= any_corner(np.abs(self._values) <= step)  # sheets between the nodes
+        wanted = _any_corner(self._values < 0) & _any_corner(self._values >= 0)
+        wanted |= _any_corner(np.abs(self._values) <= step)  # sheets between the nodes
         known = np.zeros(2 * self._nodes - 1, dtype=bool)
         known[::2, ::2, ::2] = exact
         fine = _halve(self._values)
@@ -169,7 +173,7 @@ class GridField:
         for _ in range(self.config.levels - 1):
             # Some point of a cell is within the band only if a corner is at most this far off it.
             near = np.abs(values) <= band + slope * np.sqrt(3) / 2 * step
-            wanted = refined & any_corner(near)
+            wanted = refined & _any_corner(near)
             values, error = _halve(values), _halve(error)
             inherited = np.zeros(values.shape, dtype=bool)
             inherited[::2, ::2, ::2] = exact
@@ -242,10 +246,42 @@ def surface_box(field: Field, low: Array, high: Array, step: float) -> tuple[Arr
     nodes = np.argwhere(np.ones(cells + 1, dtype=bool))
     values = field(low + nodes * step).reshape(cells + 1)
     # What is inside of a cell is no farther from its nearest corner than half its diagonal.
-    occupied = np.argwhere(any_corner(values <= np.sqrt(3) / 2 * step))
+    occupied = np.argwhere(_any_corner(values <= np.sqrt(3) / 2 * step))
     if not len(occupied):
         raise InputError("the object's field is positive everywhere", allowed="a field with inside")
     return low + occupied.min(axis=0) * step, low + (occupied.max(axis=0) + 1) * step
+
+
+def grid_surface(grid: GridField, field: Field) -> Surface | None:
+    """Zero level of a field by marching cubes with half the grid's cells; world frame, m.
+
+    Args:
+        grid: The field on a grid.
+        field: The field; evaluated near the surface.
+
+    Returns:
+        None where the field is nowhere negative.
+    """
+    values, step = grid.halved_at_surface(field)
+    for axis in range(3):
+        sides = np.moveaxis(values, axis, 0)[[0, -1]]
+        np.moveaxis(values, axis, 0)[[0, -1]] = np.maximum(sides, OUTSIDE)
+    strides = np.array([values.shape[1] * values.shape[2], values.shape[2], 1])
+    flat = values.ravel()
+    inside = values < 0
+    cells = np.argwhere(_any_corner(inside) & _any_corner(~inside))
+    corners = (cells @ strides)[:, None] + CORNERS @ strides
+    if not len(corners):
+        return None
+    crossed = cross_cells(corners, flat)
+    below, above = flat[crossed.low], flat[crossed.high]
+    share = np.clip(below / (below - above), END_GAP, 1 - END_GAP)[:, None]
+    start, end = _places(crossed.low, values.shape), _places(crossed.high, values.shape)
+    return grid.low + step * (start + share * (end - start)), crossed.faces.astype(np.int32)
+
+
+def _places(rows: Indices, shape: tuple[int, ...]) -> Array:
+    return np.stack(np.unravel_index(rows, shape), axis=1).astype(np.float64)
 
 
 def _halve(values: Array) -> Array:
@@ -258,7 +294,7 @@ def _halve(values: Array) -> Array:
     return halved[0, 0].numpy()
 
 
-def any_corner(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _any_corner(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """For each cell [X, Y, Z], whether one of its corners [X + 1, Y + 1, Z + 1] is marked."""
     cells = np.zeros(np.array(nodes.shape) - 1, dtype=bool)
     for corner in CORNERS:

@@ -27,12 +27,12 @@ from pointsdf_cli.models.processor import at_once, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
-from pointsdf_cli.planning.collision_mesh import CollisionMesh
-from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.object_choice import ListedObject
+from pointsdf_cli.planning.robot_geometry import CollisionMesh
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
+from pointsdf_cli.planning.target import completed
 
 RESOLUTION = 32
 """Cells along the network's box for an obstacle's surface: 0.2 s an object on one core, where 64

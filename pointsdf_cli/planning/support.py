@@ -14,9 +14,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.grid import GridField
+from pointsdf_cli.planning.target import ObjectField
 
 FOOT = 0.012
 """Height above the table [m] below which parts of a reconstruction count as feet: their height is
@@ -35,6 +37,14 @@ SPACING = 0.008
 
 BEHIND = 0.005
 """Least distance [m] between a seen point and a point that it hides."""
+
+
+def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
+    """Points [M, 3] in unseen space below a shape that could not stand; none if it could."""
+    solid = shape.kept.inside()
+    if not len(solid) or stands(shape.field, shape.kept, solid, shape.low, shape.high):
+        return np.zeros((0, 3))
+    return hidden_below(solid, [(view.T_world_camera[:3, 3], view.in_world) for view in views])
 
 
 def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array) -> bool:

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import EmptyResultError, InputError
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.meshing import SMOOTHING, mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.fields import (
     MeanField,
     MeshField,
@@ -23,8 +25,7 @@ from pointsdf_cli.planning.fields import (
     SeenField,
     UnionField,
 )
-from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
-from pointsdf_cli.planning.grid_surface import grid_surface
+from pointsdf_cli.planning.grid import GridConfig, GridField, grid_surface, surface_box
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.seeds import GraspSampler
@@ -132,6 +133,18 @@ def grid_for(thickness: float) -> GridConfig:
     """Grid for an object with this thinnest seen side [m]."""
     step = float(np.clip(thickness / CELLS_ACROSS, FINEST, KEPT_GRID.step))
     return replace(KEPT_GRID, step=step)
+
+
+def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Reconstruction:
+    """The object of one view in the world, from points sampled with `seed`."""
+    return Reconstruction.from_cloud(
+        network,
+        view.in_world,
+        view.T_world_camera[:3, 3],
+        view.T_world_camera[:3, :3],
+        seed,
+        view.evidence,
+    )
 
 
 def reconstructed_object(
