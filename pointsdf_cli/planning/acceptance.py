@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,36 +109,31 @@ def judge(
     limit = np.minimum(x - problem.lower, problem.upper - x).min(axis=1)
     candidates = []
     for b in range(len(x)):
-        success = float(np.exp(cost.log_success[b]))
-        distances = {
-            "object_collision": float(slack.object[b]),
-            "table_collision": float(min(slack.table[b], slack.obstacles[b])),
-            "self_collision": float(slack.self_collision[b]),
-        }
-        worst = min(distances, key=lambda key: distances[key])
-        reason = ""
-        # Comparisons that NaN fails, too.
-        if not limit[b] >= 0:
-            reason = "solver"
-        elif not distances[worst] >= 0:
-            reason = worst
-        elif not success > config.least:
-            reason = "low_success_probability"
-        elif not cost.value[b] < config.objective:
-            reason = "objective"
-        candidates.append(
-            Candidate(
-                x=x[b].copy(),
-                q=problem.variables.configuration(x[b]),
-                success=success,
-                log_prior=float(cost.log_prior[b]),
-                objective=float(cost.value[b]),
-                object_slack=float(slack.object[b]),
-                table_slack=float(slack.table[b]),
-                obstacle_slack=float(slack.obstacles[b]),
-                self_slack=float(slack.self_collision[b]),
-                reason=reason,
-                kind=kinds[b] if kinds else "",
-            )
+        made = Candidate(
+            x[b].copy(),
+            problem.variables.configuration(x[b]),
+            float(np.exp(cost.log_success[b])),
+            float(cost.log_prior[b]),
+            float(cost.value[b]),
+            *(float(each[b]) for each in slack),
+            reason="",
+            kind=kinds[b] if kinds else "",
         )
+        reason = "" if limit[b] >= 0 else "solver"  # NaN fails this, and what follows
+        candidates.append(replace(made, reason=reason or _reason(made, config)))
     return candidates
+
+
+def _reason(made: Candidate, config: AcceptanceConfig) -> str:
+    """Reason why a candidate within the joint limits is rejected; empty if it is accepted."""
+    distances = {
+        "object_collision": made.object_slack,
+        "table_collision": min(made.table_slack, made.obstacle_slack),
+        "self_collision": made.self_slack,
+    }
+    worst = min(distances, key=lambda key: distances[key])
+    if not distances[worst] >= 0:
+        return worst
+    if not made.success > config.least:
+        return "low_success_probability"
+    return "" if made.objective < config.objective else "objective"
