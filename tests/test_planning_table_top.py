@@ -25,8 +25,8 @@ from pointsdf_cli.planning.seen_obstacles import hulls
 from pointsdf_cli.planning.table_top import (
     NoObjectError,
     _check_sighting,
-    _table_height,
     look_at_table,
+    table_height,
     workspace_of,
 )
 from pointsdf_cli.robot.description import load_robot
@@ -299,7 +299,7 @@ def test_a_camera_that_does_not_see_the_object_does_not_move_the_table() -> None
         plane = np.array([0.0, 0.0, 1.0, height])
         return SimpleNamespace(objects=SimpleNamespace(plane=plane))
 
-    assert _table_height([(at(0.0), 0), (at(0.02), -1)]) == 0.0
+    assert table_height([(at(0.0), 0), (at(0.02), -1)]) == 0.0
 
 
 def test_another_cameras_object_is_the_same_if_nothing_else_is_nearer() -> None:

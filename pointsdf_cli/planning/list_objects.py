@@ -12,7 +12,7 @@ from pointsdf_cli.planning.labelled_view import LabelledView
 from pointsdf_cli.planning.object_choice import ListedObject, NoObjectError
 from pointsdf_cli.planning.plausibility import require_table_at_zero, table_doubt
 from pointsdf_cli.planning.scene_input import read_scene
-from pointsdf_cli.planning.table_top import chosen_object, label_table, workspace_of
+from pointsdf_cli.planning.table_top import chosen_object, label_table, table_height, workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.start import start_configuration
 
@@ -74,8 +74,7 @@ def list_objects(
     if not objects:
         raise NoObjectError("nothing stands on the table", where=path)
     counts = {item.number: int((view.label == item.label).sum()) for item in objects}
-    plane = view.objects.plane
-    height = None if plane is None else float(plane[3])
+    height = table_height([(view, first.label)])
     doubt = "" if cloud.over_table else table_doubt(height, [in_world(cloud)])
     notes = (*given.notes, *([f"warning: {doubt}"] if doubt else []))
     return Listing(view, objects, counts, notes)

@@ -193,7 +193,7 @@ def _look(
             wanted = TargetChoice(place=np.median(in_world, axis=0))
     if problem is not None and not seen:
         raise problem
-    height = _table_height(labelled)
+    height = table_height(labelled)
     return TableTop(tuple(seen), np.concatenate(others), tuple(report), height, tuple(labelled))
 
 
@@ -229,7 +229,7 @@ def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: st
         )
 
 
-def _table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
+def table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
     """Height of the table in the views that show the object [m]; None without a table."""
     planes = [view.objects.plane for view, label in labelled if label >= 0]
     heights = [float(plane[3]) for plane in planes if plane is not None]
