@@ -8,6 +8,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.cartesian_path import FollowConfig, follow, straight
+from pointsdf_cli.robot.description import RobotDescription
 
 LENGTH = 0.08
 """Length of the straight stretch [m]: fingers then start outside of most objects."""
@@ -64,11 +65,17 @@ def _straight(
     _, middle, _ = chain.palm_and_jacobian((path[:-1] + path[1:]) / 2)
     off = np.linalg.norm(middle - (poses[0, :reached, :3, 3] - STEP / 2 * way), axis=1)
     path = path[: 1 + np.logical_and.accumulate(within & (off <= DEVIATION)).sum()]
-    whole = np.tile(q, (len(path), 1))
-    whole[:, robot.arm] = path
+    whole = with_arm(robot, q, path)
     if checker.is_free(whole):
         return whole
     free = 1
     while free < len(whole) and checker.is_free(whole[free - 1 : free + 1]):
         free += 1
     return whole[:free]
+
+
+def with_arm(robot: RobotDescription, q: Array, path: Array) -> Array:
+    """Configurations [T, J] that are q [J] but for the arm, which is on a path [T, A]."""
+    whole = np.tile(q, (len(path), 1))
+    whole[:, robot.arm] = path
+    return whole

@@ -17,7 +17,7 @@ from ompl import util as ou
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.planning.approach import retreat
+from pointsdf_cli.planning.approach import retreat, with_arm
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.option_checks import check_speed
 from pointsdf_cli.planning.path_check import PathChecker
@@ -124,13 +124,11 @@ def _simple_path(checker: PathChecker, chain: ArmChain, start: Array, goal: Arra
     straight = np.stack([start, goal])
     if checker.is_free(straight):
         return straight
-    arm = chain.robot.arm
     for height in ABOVE:
         rise = lift_path(chain, goal, height)
         if rise is None:
             continue
-        down = np.tile(goal, (len(rise), 1))
-        down[:, arm] = rise[::-1]
+        down = with_arm(chain.robot, goal, rise[::-1])
         if not checker.is_free(np.stack([start, down[0]])):
             continue
         for way in (down[[0, -1]], down):

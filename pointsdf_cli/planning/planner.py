@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Container, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -16,6 +17,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.processor import lap, one_thread, timed
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.antipodal import antipodal_grasps
+from pointsdf_cli.planning.approach import with_arm
 from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
@@ -267,14 +269,8 @@ class Planner:
     def _lift(self, checker: PathChecker, candidate: Candidate) -> Array | None:
         """Joint path [K, J] by which the arm raises the hand from a grasp, touching nothing but the
         object; None if it cannot."""
-        robot = self.robot
         beside = checker.without_object()  # the object comes along
-
-        def whole(path: Array) -> Array:
-            q = np.repeat(candidate.q[None], len(path), axis=0)
-            q[:, robot.arm] = path
-            return q
-
+        whole = partial(with_arm, self.robot, candidate.q)
         path = lift_path(
             self.inverse.chain, candidate.q, free=lambda path: beside.is_free(whole(path))
         )
