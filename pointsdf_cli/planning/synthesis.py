@@ -204,7 +204,7 @@ def _solved(
         kinds = [seeds.kinds[k] for k in order]
         candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
     best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
-    _polish(problems, candidates, kinds, best, solver, config, timings)
+    _polish(problems, candidates, best, solver, config, timings)
     return candidates
 
 
@@ -236,7 +236,6 @@ def _judged(
 def _polish(
     problems: Problems,
     candidates: list[Candidate],
-    kinds: list[str],
     best: float,
     solver: Solver,
     config: SynthesisConfig,
@@ -259,7 +258,8 @@ def _polish(
         near = np.stack([candidates[k].x for k in again])
         polished = solver.solve(problems.polish, near, POLISH_ITERATIONS).x
     with lap(timings, "check"):
-        better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
+        kinds = [candidates[k].kind for k in again]
+        better = judge(problems.exact, polished, config.acceptance, kinds)
     for k, candidate in zip(again, better, strict=True):
         candidates[k] = candidate
 

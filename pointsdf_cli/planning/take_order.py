@@ -48,9 +48,8 @@ def take_order(view: LabelledView, reach: Reach | None = None) -> list[OrderedOb
         reach: Result of `object_choice.reach_of`; None if the robot's pose is not known.
     """
     label = view.objects.label
-    standing = [item for item in view.listed if item.stands]
     ordered = []
-    for item in standing:
+    for item in (each for each in view.listed if each.stands):
         mine = label == item.label
         free = free_share(view.world[mine], view.world[(label >= 0) & ~mine])
         ordered.append(OrderedObject(item, free, reach is None or reach.beyond(item.centre) == 0))
