@@ -153,37 +153,33 @@ class GraspProblem:
         """The objective at x [B, n]."""
         return self.objective(x)
 
-    def contacts(self, x: Array, gradients: bool = True) -> tuple[Poses, Contacts]:
-        """All distances at x [B, n], in the order of `names`."""
-        poses = link_poses(self.kinematics, self.variables.configuration(x))
-        return poses, join([self.object(poses, gradients), self.bodies(poses)])
-
     def residuals(self, x: Array) -> Residuals:
         """Slack of each kind of constraint at x [B, n]."""
-        _, contacts = self.contacts(x, gradients=False)
-        slack = contacts.distance - self._margin
-        relevant, fixed = self._relevant, ~(self.is_object | self.is_table | self._is_self)
-        return Residuals(
-            *(
-                slack[:, kind & relevant].min(axis=1, initial=np.inf)
-                for kind in (self.is_object, self.is_table, fixed, self._is_self)
-            )
-        )
+        _, _, slack = self._measured(x, gradients=False)
+        fixed = ~(self.is_object | self.is_table | self._is_self)
+        kinds = (self.is_object, self.is_table, fixed, self._is_self)
+        return Residuals(*(slack[:, kind].min(axis=1, initial=np.inf) for kind in kinds))
 
     def evaluate(self, x: Array) -> Evaluation:
         """Evaluate, for each point, its `critical` constraints of least slack."""
-        poses, contacts = self.contacts(x)
-        slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        poses, contacts, slack = self._measured(x)
         chosen = np.argpartition(slack, self._critical - 1, axis=1)[:, : self._critical]
         return self._evaluation(x, poses, contacts, slack, np.sort(chosen, axis=1))
 
     def evaluate_grouped(self, x: Array) -> Evaluation:
         """Evaluate the paper's constraints: each link's minimum distance to the object, to each
         obstacle and to the robot itself."""
-        poses, contacts = self.contacts(x)
-        slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        poses, contacts, slack = self._measured(x)
         chosen = np.stack([group[slack[:, group].argmin(axis=1)] for group in self._groups], axis=1)
         return self._evaluation(x, poses, contacts, slack, chosen)
+
+    def _measured(self, x: Array, gradients: bool = True) -> tuple[Poses, Contacts, Array]:
+        """All distances at x [B, n], in the order of `names`, and their slacks [B, M] m; infinite
+        where the variables cannot change them."""
+        poses = link_poses(self.kinematics, self.variables.configuration(x))
+        contacts = join([self.object(poses, gradients), self.bodies(poses)])
+        slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        return poses, contacts, slack
 
     def _evaluation(
         self, x: Array, poses: Poses, contacts: Contacts, slack: Array, chosen: NDArray[np.int64]
