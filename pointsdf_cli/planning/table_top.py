@@ -146,15 +146,15 @@ def look_at_table(
     )
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
-    labelled = (
-        (label_table(cloud, name, robot, start, workspace, cleaned), name)
+    views = (
+        label_table(cloud, name, robot, start, workspace, cleaned)
         for cloud, name in zip(clouds, names, strict=True)
     )
-    return _look(labelled, wanted, workspace, cleaned)
+    return _look(views, wanted, workspace, cleaned)
 
 
 def _look(
-    named_views: Iterable[tuple[LabelledView, str]],
+    views: Iterable[LabelledView],
     wanted: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
@@ -165,32 +165,33 @@ def _look(
     labelled: list[tuple[LabelledView, int]] = []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
-    for view, name in named_views:
+    for view in views:
         try:
             item = chosen_object(view, wanted, workspace, first is not None)
             found = sighting(view, item, cleaned)
             if not len(found.object_points):
-                raise NoObjectError("the mask shows another object", where=name)
+                raise NoObjectError("the mask shows another object", where=view.name)
             if view.cloud.mask is not None:
-                check_object_cloud(Cloud(found.object_points), f"{name}, under its mask")
+                check_object_cloud(Cloud(found.object_points), f"{view.name}, under its mask")
             in_world = apply_transform(view.T_world_camera, found.object_points)
-            _check_sighting(in_world, first, name)
+            _check_sighting(in_world, first, view.name)
         except NoObjectError as error:
             if first is None and wanted is not None and wanted.place is None:
                 raise  # a number or a pixel says nothing about other cameras
             problem = problem or error
-            report.append(f"{name}: the object is not seen")
             # Objects that this camera saw remain obstacles.
-            others.append(view.world[view.objects.label >= 0])
+            said, beside = "the object is not seen", view.world[view.objects.label >= 0]
             labelled.append((view, -1))
-            continue
-        report.append(f"{name}: {describe(view, item, found, place=not view.cloud.over_table)}")
-        seen.append(view_of(view, found))
-        others.append(found.others_in_world)
-        labelled.append((view, item.label))
-        if first is None:
-            first = in_world, found.others_in_world
-            wanted = TargetChoice(place=np.median(in_world, axis=0))
+        else:
+            said = describe(view, item, found, place=not view.cloud.over_table)
+            beside = found.others_in_world
+            labelled.append((view, item.label))
+            seen.append(view_of(view, found))
+            if first is None:
+                first = in_world, beside
+                wanted = TargetChoice(place=np.median(in_world, axis=0))
+        report.append(f"{view.name}: {said}")
+        others.append(beside)
     if problem is not None and not seen:
         raise problem
     height = table_height(labelled)
