@@ -119,9 +119,9 @@ class BodyDistances:
         def placement(b: int, body: int) -> coal.Transform3s:
             return coal.Transform3s(shape_turn[b, body], shape_at[b, body])
 
-        where = np.nonzero(near)
-        exact = self._exact(*where, placement)
-        for b, m, (distance, inside, result) in zip(*where, exact, strict=True):
+        rows, columns = np.nonzero(near)
+        exact = self._exact(rows, columns, placement)
+        for b, m, (distance, inside, result) in zip(rows, columns, exact, strict=True):
             gap[b, m] = distance
             contacts.point[b, m] = result.getNearestPoint1()
             contacts.other_point[b, m] = result.getNearestPoint2()

@@ -66,11 +66,11 @@ class Sqp:
     def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
         search = _Search(problem, starts, self.config)
-        halvings = self.config.successive_halving
+        ends = self.config.successive_halving
         for turn in range(iterations or self.config.iterations):
             stop_if_cancelled()
-            if turn in halvings:
-                search.end_worse(halvings.index(turn) + 1)
+            if turn in ends:
+                search.end_worse(ends.index(turn) + 1)
             if not search.advance():
                 break
         return Solutions(
