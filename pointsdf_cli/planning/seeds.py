@@ -137,11 +137,7 @@ def draw_seeds(
     palm, chosen = _promising(problem, preshape, palm, rng, config)
     preshape, palm, kinds = preshape[chosen], palm[chosen], kinds[chosen]
     found = kinematics.solve(palm)
-    rows, elbows = np.nonzero(found.reached)
-    keep = np.zeros(len(rows), dtype=bool)
-    for row in np.unique(rows):
-        keep[np.flatnonzero(rows == row)[:ELBOWS]] = True
-    rows, elbows = rows[keep], elbows[keep]
+    rows, elbows = np.nonzero(found.reached & (found.reached.cumsum(axis=1) <= ELBOWS))
     x = np.hstack([found.arm[rows, elbows], preshape[rows][:, problem.variables.of_preshape]])
     x = np.clip(x, problem.lower, problem.upper)
     if not len(x):
