@@ -110,12 +110,15 @@ def judge(
     candidates = []
     for b in range(len(x)):
         made = Candidate(
-            x[b].copy(),
-            problem.variables.configuration(x[b]),
-            float(np.exp(cost.log_success[b])),
-            float(cost.log_prior[b]),
-            float(cost.value[b]),
-            *(float(each[b]) for each in slack),
+            x=x[b].copy(),
+            q=problem.variables.configuration(x[b]),
+            success=float(np.exp(cost.log_success[b])),
+            log_prior=float(cost.log_prior[b]),
+            objective=float(cost.value[b]),
+            object_slack=float(slack.object[b]),
+            table_slack=float(slack.table[b]),
+            obstacle_slack=float(slack.obstacles[b]),
+            self_slack=float(slack.self_collision[b]),
             reason="",
             kind=kinds[b] if kinds else "",
         )
