@@ -10,10 +10,10 @@ from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning import option_checks
-from pointsdf_cli.planning.cloud_checks import check_scene_inputs
+from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.object_choice import TargetChoice
 
@@ -113,7 +113,10 @@ class PlanRequest:
             self.segment, self.target is not None, self.workspace is not None
         )
         require_choice(self.obstacles, choices.Obstacles, "--obstacles")
-        check_scene_inputs(self.clouds, self.names, self.segment)
+        check = check_object_cloud if self.segment == "none" else check_scene_cloud
+        for cloud, name in zip(self.clouds, self.names, strict=True):
+            require_pose(cloud, name)
+            check(cloud, name)
 
 
 @dataclass(frozen=True)
