@@ -133,22 +133,19 @@ class BodyDistances:
         """Distances [K], m, of the pairs `columns` [K] at the configurations `rows` [K]: as in a
         call, but of these alone and without witness points."""
         first, second = self._pairs[columns].T
-        centre, other = (self._placed(poses, rows, body, self._centres) for body in (first, second))
+        centre, other = (self._centred(poses, rows, body) for body in (first, second))
         gap = np.sqrt(((centre - other) ** 2).sum(-1)) - self._radii[first] - self._radii[second]
         above = centre[:, 2] - self._table_height - self._radii[first]
         gap = np.where(self._table[second], above, gap)
         near = np.flatnonzero(gap < self.exact_to)
-        placement = partial(self._placement, poses)
-        for k, (distance, _, _) in zip(
-            near, self._exact(rows[near], columns[near], placement), strict=True
-        ):
+        exact = self._exact(rows[near], columns[near], partial(self._placement, poses))
+        for k, (distance, _, _) in zip(near, exact, strict=True):
             gap[k] = distance
         return np.asarray(gap)
 
-    def _placed(self, poses: Poses, rows: Indices, bodies: Indices, points: Array) -> Array:
-        """One point [K, 3] of each of the bodies in the world, given in the frames of their links
-        [bodies, 3]."""
-        links, points = self._links[bodies], points[bodies]
+    def _centred(self, poses: Poses, rows: Indices, bodies: Indices) -> Array:
+        """Centres [K, 3] of the bodies' balls in the world, m."""
+        links, points = self._links[bodies], self._centres[bodies]
         turned = (poses.rotation[rows, links] @ points[:, :, None])[..., 0]
         return np.where((links == WORLD)[:, None], points, turned + poses.position[rows, links])
 
