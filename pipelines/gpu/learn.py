@@ -206,9 +206,8 @@ class Run:
             source = build_model("pointsdf-ray", arguments, seed=options.seed)
         else:
             source = load_model(options.start_from)
-        model = RayWithSymmetry(**source.config())
+        model = RayWithSymmetry(**source.config() | {"most_points": max(options.points)})
         model.load_state_dict(source.state_dict())
-        model.most_points = max(options.points)
         sideways, sizes = model.sideways, sorted(options.points)
         self._views = Views(options.capacity, options.objects, device, sideways, sizes)
         self._held_out = Views(HELD_OUT, HELD_OUT, device, sideways, sizes)

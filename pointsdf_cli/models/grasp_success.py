@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor, nn
+
+from pointsdf_cli.models.rebuildable import Rebuildable
 
 POSE_SIZE = 9
 """Number of inputs for a palm pose: position (3) and two columns of the rotation (6)."""
@@ -64,7 +65,7 @@ class Standardise(nn.Module):
         return (x - self.mean) * self.inverse
 
 
-class EmbeddingNet(nn.Module):
+class EmbeddingNet(Rebuildable):
     """The published network (Lu et al. 2020, with the paper's embedding).
 
     Configuration → 14 → 8; embedding and size → 128 → 64; both → 64 → 32 → 1; LayerNorm + ReLU.
@@ -80,7 +81,7 @@ class EmbeddingNet(nn.Module):
 
     def __init__(self, joints: int, embedding: int = 256, dropout: float = 0.0) -> None:
         super().__init__()
-        self._config = {"joints": joints, "embedding": embedding, "dropout": dropout}
+        self.keep_arguments(locals())
         self.grasp_scale = Standardise(joints + POSE_SIZE)
         self.size_scale = Standardise(3)
         self.grasp = _dense([joints + POSE_SIZE, 14, 8])
@@ -88,10 +89,6 @@ class EmbeddingNet(nn.Module):
         self.joined = _dense([72, 64, 32], dropout)
         self.leave = nn.Linear(32, 1)
         self.calibration = Calibration()
-
-    def config(self) -> dict[str, Any]:
-        """The arguments that rebuild it."""
-        return dict(self._config)
 
     def forward(self, grasp: Tensor, embedding: Tensor, size: Tensor) -> Tensor:
         """Raw logits [B].
@@ -113,7 +110,7 @@ def grasp_numbers(preshape: Tensor, T_object_palm: Tensor) -> Tensor:
     return torch.cat([preshape, T_object_palm[:, :3, 3], columns], dim=1)
 
 
-class GeometryNet(nn.Module):
+class GeometryNet(Rebuildable):
     """Small networks on the features of the grasp's geometry, averaged before the sigmoid.
 
     Args:
@@ -135,13 +132,7 @@ class GeometryNet(nn.Module):
         input_dropout: float = 0.1,
     ) -> None:
         super().__init__()
-        self._config = {
-            "features": features,
-            "members": members,
-            "widths": list(widths),
-            "dropout": dropout,
-            "input_dropout": input_dropout,
-        }
+        self.keep_arguments(locals())
         self.scale = Standardise(features)
         self.enter = nn.Dropout(input_dropout)
         sizes = [features, *widths]
@@ -151,10 +142,6 @@ class GeometryNet(nn.Module):
         self.hidden = nn.Sequential(*layers)
         self.leave = Members(members, sizes[-1], 1)
         self.calibration = Calibration()
-
-    def config(self) -> dict[str, Any]:
-        """The arguments that rebuild it."""
-        return dict(self._config)
 
     @property
     def member_count(self) -> int:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -60,16 +59,7 @@ class PointSDF(ShapeModel):
         dropout: float = 0.2,
     ) -> None:
         super().__init__()
-        self._config = {
-            "centres": list(centres),
-            "neighbours": list(neighbours),
-            "mlps": [list(mlp) for mlp in mlps],
-            "weight_channels": weight_channels,
-            "query_width": query_width,
-            "head": list(head),
-            "tail": list(tail),
-            "dropout": dropout,
-        }
+        self.keep_arguments(locals())
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
         if centres[0] <= PACKED_CENTRES and neighbours[0] <= PACKED_NEIGHBOURS:
             self.packed_neighbours = (centres[0], neighbours[0])
@@ -94,9 +84,6 @@ class PointSDF(ShapeModel):
         self.head = _dense([joint, *head])
         self.tail = _dense([head[-1] + joint, *tail])
         self.leave = nn.Linear(tail[-1], 1)
-
-    def config(self) -> dict[str, Any]:
-        return dict(self._config)
 
     def encode(
         self,

@@ -16,7 +16,6 @@ Everything is normalised per sample (LayerNorm), so a value never depends on the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -99,9 +98,9 @@ class PointSDFRay(ShapeModel):
         most_points: int = 1000,
     ) -> None:
         super().__init__()
+        self.keep_arguments(locals())
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
-        self.hidden, self.channels = tuple(hidden), tuple(channels)
-        self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
+        self.blocks, self.local = blocks, local
         self.search, self.revolution, self.sideways = search, revolution, sideways
         self.has_box, self.reads_surroundings = box, surroundings
         self.most_points = most_points
@@ -163,24 +162,6 @@ class PointSDFRay(ShapeModel):
     def _optional_inputs(self) -> tuple[bool, ...]:
         """Presence of the decoder's optional inputs, in their order."""
         return bool(self.revolution), self.has_box, self.reads_surroundings
-
-    def config(self) -> dict[str, Any]:
-        return {
-            "centres": list(self.centres),
-            "neighbours": list(self.neighbours),
-            "hidden": list(self.hidden),
-            "channels": list(self.channels),
-            "width": self.width,
-            "blocks": self.blocks,
-            "local": self.local,
-            "heads": self.heads,
-            "search": self.search,
-            "revolution": self.revolution,
-            "sideways": self.sideways,
-            "box": self.has_box,
-            "surroundings": self.reads_surroundings,
-            "most_points": self.most_points,
-        }
 
     def begin_with(self, other: ShapeModel) -> None:
         state = other.state_dict()

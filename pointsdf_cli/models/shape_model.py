@@ -9,11 +9,12 @@ All in the network's frame (`normalise.py`); `reconstruction.py` is the interfac
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.rebuildable import Rebuildable
 from pointsdf_cli.models.surroundings import Surroundings
 
 PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
@@ -38,7 +39,7 @@ class Encoding(NamedTuple):
     evidence: dict[str, Tensor]
 
 
-class ShapeModel(nn.Module, ABC):
+class ShapeModel(Rebuildable, ABC):
     """A network f(o, x) = s: partial cloud o, query x, signed distance s, negative inside."""
 
     architecture: str = ""
@@ -70,10 +71,6 @@ class ShapeModel(nn.Module, ABC):
             RuntimeError: Its weights have other shapes.
         """
         self.load_state_dict(other.state_dict())
-
-    @abstractmethod
-    def config(self) -> dict[str, Any]:
-        """The arguments that rebuild this architecture (plain types)."""
 
     @abstractmethod
     def encode(

@@ -7,8 +7,6 @@ distance: negative inside, zero at probability 0.5, right in sign but not in len
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
@@ -64,9 +62,6 @@ class VoxelCNN(ShapeModel):
             nn.ConstantPad3d((1, 2, 1, 2, 1, 2), 0.0),
             nn.Conv3d(8, 1, 3),
         )
-
-    def config(self) -> dict[str, Any]:
-        return {}
 
     def embed(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Tensor:
         return self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))

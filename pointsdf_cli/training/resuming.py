@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.rebuildable import plain
 from pointsdf_cli.models.shape_model import ShapeModel
 
 LATER = ("steps", "minutes", "validate_every")
@@ -95,7 +96,7 @@ def require_same_run(
     """
     # An argument that is missing in the run had its default.
     parameters = inspect.signature(type(model)).parameters.values()
-    defaults = {p.name: _plain(p.default) for p in parameters if p.default is not p.empty}
+    defaults = {p.name: plain(p.default) for p in parameters if p.default is not p.empty}
     arguments = {**defaults, **state.get("arguments", {})}
     found = {"model": state.get("architecture"), **arguments, **state["config"]}
     wanted = {"model": model.architecture, **model.config(), **config}
@@ -139,8 +140,3 @@ def _kinds(group: Mapping[str, Any]) -> dict[str, object]:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as the lists that a configuration holds."""
-    return list(value) if isinstance(value, tuple) else value
