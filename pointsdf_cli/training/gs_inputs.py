@@ -36,10 +36,10 @@ class Learner(ABC):
     """A network with the inputs of all grasps.
 
     Attributes:
-        modules: Trained modules by name.
+        modules: Trained modules: `network`, and the parts of an `encoder` that is trained too.
     """
 
-    modules: dict[str, nn.Module]
+    modules: nn.ModuleDict
 
     @abstractmethod
     def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
@@ -60,16 +60,6 @@ class Learner(ABC):
     @abstractmethod
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
         """Inputs of a network on embeddings: grasp numbers [N, K + 9] and cloud sizes [N, 3]."""
-
-    @property
-    def parameters(self) -> list[nn.Parameter]:
-        """All trained parameters."""
-        return [p for module in self.modules.values() for p in module.parameters()]
-
-    def train(self, learning: bool) -> None:
-        """Set training or evaluation mode."""
-        for module in self.modules.values():
-            module.train(learning)
 
 
 class FixedInputs(Learner):
@@ -95,7 +85,7 @@ class FixedInputs(Learner):
     ) -> None:
         self.network, self.columns, self.folds = network, columns, folds
         self._mirrors = tuple(mirrors)
-        self.modules = {"network": network}
+        self.modules = nn.ModuleDict({"network": network})
 
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
         return self.columns[0], self.columns[2]
@@ -112,14 +102,14 @@ class FixedInputs(Learner):
 
     @torch.no_grad()
     def logits(self, index: Index) -> NDArray[np.float64]:
-        self.train(False)
+        self.modules.eval()
         return self.network(*(c[index] for c in self.columns)).double().numpy()
 
     @torch.no_grad()
     def validation_logits(self, index: Index) -> NDArray[np.float64]:
         if self.folds is None or not isinstance(self.network, GeometryNet):
             return self.logits(index)
-        self.train(False)
+        self.modules.eval()
         each = self.network.members(*(c[index] for c in self.columns))
         return each[self.folds[index], torch.arange(len(index))].double().numpy()
 
@@ -149,9 +139,9 @@ class CloudInputs(Learner):
     ) -> None:
         self.network, self.encoder, self.low_precision = network, encoder, low_precision
         encoder.requires_grad_(False)
-        self.modules = {"network": network}
-        for part in encoder.encoder_parts:
-            self.modules[f"encoder.{part}"] = getattr(encoder, part).requires_grad_(True)
+        parts = {part: getattr(encoder, part) for part in encoder.encoder_parts}
+        trained = nn.ModuleDict(parts).requires_grad_(True)
+        self.modules = nn.ModuleDict({"network": network, "encoder": trained})
         first = np.unique(data.scene_of, return_index=True)[1]
         clouds = data.cloud[first]
         packed = pack_views(clouds, np.tile(np.eye(4), (len(first), 1, 1)))
@@ -186,7 +176,7 @@ class CloudInputs(Learner):
 
     @torch.no_grad()
     def logits(self, index: Index) -> NDArray[np.float64]:
-        self.train(False)
+        self.modules.eval()
         scenes, back = np.unique(self._scene[index], return_inverse=True)
         parts = [
             self._embed(scenes[start : start + EVALUATED], None)

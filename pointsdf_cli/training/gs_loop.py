@@ -158,10 +158,11 @@ class _Run:
         self._truth = data.label[split.validation]
         held = float(data.label[split.train].mean())
         self._class_weight = torch.tensor([0.5 / (1.0 - held), 0.5 / held])
-        groups = [{"params": _weights(learner, network=True), "share": 1.0}]
-        encoder = _weights(learner, network=False)
-        if encoder:
-            groups.append({"params": encoder, "share": config.encoder_rate})
+        shares = {"network": 1.0, "encoder": config.encoder_rate}
+        groups = [
+            {"params": part.parameters(), "share": shares[name]}
+            for name, part in learner.modules.items()
+        ]
         self._optimiser = torch.optim.AdamW(groups, weight_decay=config.weight_decay, fused=True)
         torch.manual_seed(config.seed)
         self._data_hash = data_sha256(
@@ -192,7 +193,7 @@ class _Run:
         rng = np.random.default_rng([config.seed, 3, self._epoch])
         order = scene_order(self._data, train, rng)
         total = 0.0
-        self._learner.train(True)
+        self._learner.modules.train()
         for number in range(batches):
             if should_stop():
                 return False
@@ -221,8 +222,7 @@ class _Run:
         # each member gets the gradient of its own loss.
         self._optimiser.zero_grad(set_to_none=True)
         (loss * len(predicted)).backward()
-        weights = [p for group in self._optimiser.param_groups for p in group["params"]]
-        torch.nn.utils.clip_grad_norm_(weights, 5.0)
+        torch.nn.utils.clip_grad_norm_(self._learner.modules.parameters(), 5.0)
         self._optimiser.step()
         return loss.item()
 
@@ -274,29 +274,19 @@ class _Run:
                     "began with other grasps, or with other objects held out",
                     hint="leave --resume out",
                 )
-            load_weights(self._learner, state["weights"])
+            load = self._learner.modules.load_state_dict
+            load(state["weights"])
             put_back_optimiser(self._optimiser, state["optimiser"])
             torch.set_rng_state(state["rng"])
             self._epoch, self.seconds, self._history = progress_of(state, "epoch", "loss")
             self._best = dict(state["best"])
-            load_weights(self._learner, self._best or state["weights"])  # whether they fit
-            load_weights(self._learner, state["weights"])
             if self._history and not self._best:
                 raise ValueError("epochs without weights")
+            load(self._best or state["weights"])
         if self._best:
-            self._platt, self._logits = _judged(
-                self._learner, self._best, self._split.validation, self._truth
-            )
-
-
-def _weights(learner: Learner, network: bool) -> list[torch.nn.Parameter]:
-    """Parameters of the success network, or of an encoder that is trained too."""
-    return [
-        weight
-        for name, module in learner.modules.items()
-        if (name == "network") == network
-        for weight in module.parameters()
-    ]
+            self._logits = self._learner.validation_logits(self._split.validation)
+            self._platt = fit_platt(self._truth, self._logits)
+            load(state["weights"])
 
 
 def scene_order(data: GraspData, index: Index, rng: np.random.Generator) -> Index:
@@ -307,28 +297,4 @@ def scene_order(data: GraspData, index: Index, rng: np.random.Generator) -> Inde
 
 def weights_of(learner: Learner) -> dict[str, Tensor]:
     """All weights and buffers by module and name."""
-    return {
-        f"{module}.{name}": tensor
-        for module, part in learner.modules.items()
-        for name, tensor in part.state_dict().items()
-    }
-
-
-def load_weights(learner: Learner, weights: Mapping[str, Tensor]) -> None:
-    """Load the weights of `weights_of`."""
-    for module, part in learner.modules.items():
-        start = f"{module}."
-        part.load_state_dict(
-            {n.removeprefix(start): t for n, t in weights.items() if n.startswith(start)}
-        )
-
-
-def _judged(
-    learner: Learner, best: Mapping[str, Tensor], index: Index, truth: NDArray[np.float32]
-) -> tuple[Platt, NDArray[np.float64]]:
-    """Calibration and logits of stored weights; the learner's own are restored."""
-    now = copy.deepcopy(weights_of(learner))
-    load_weights(learner, best)
-    logits = learner.validation_logits(index)
-    load_weights(learner, now)
-    return fit_platt(truth, logits), logits
+    return dict(learner.modules.state_dict())
