@@ -34,6 +34,8 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vector
 
 KINDS = ("side", "top")
+TENSORS = ("weights", "rotations", "means", "choleskys", "ranges")
+"""Arguments of `GraspPrior`, in order, as a checkpoint names them."""
 LENGTH = 0.1
 """Unit of length ℓ [m]."""
 NARROW = 0.01
@@ -158,13 +160,7 @@ class GraspPrior:
 
     def state(self) -> dict[str, Tensor]:
         """Tensors by name, for `from_state`."""
-        return {
-            "prior.weights": self.weights,
-            "prior.rotations": self.rotations,
-            "prior.means": self.means,
-            "prior.choleskys": self.choleskys,
-            "prior.ranges": self.ranges,
-        }
+        return {f"prior.{name}": getattr(self, name) for name in TENSORS}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Tensor]) -> GraspPrior:
@@ -173,8 +169,7 @@ class GraspPrior:
         Raises:
             InputError: A tensor is missing.
         """
-        names = ("weights", "rotations", "means", "choleskys", "ranges")
-        missing = [name for name in names if f"prior.{name}" not in state]
+        missing = [name for name in TENSORS if f"prior.{name}" not in state]
         if missing:
             raise InputError(f"holds no prior ({', '.join(missing)} missing)")
-        return cls(*(state[f"prior.{name}"] for name in names))
+        return cls(*(state[f"prior.{name}"] for name in TENSORS))
