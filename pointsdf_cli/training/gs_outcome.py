@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -59,32 +59,27 @@ def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dic
     return state
 
 
+@dataclass
 class Checkpointer:
     """Writer of one run's checkpoint directory.
 
-    Args:
+    Attributes:
         out: The directory.
         prepared, variant, robot, data, split, config, prior: Inputs of the run.
         half: Store the networks' weights in float16.
     """
 
-    def __init__(
-        self,
-        out: Path,
-        prepared: Prepared,
-        variant: Variant,
-        robot: RobotDescription,
-        data: GraspData,
-        split: Split,
-        config: SuccessTraining,
-        prior: GraspPrior,
-        half: bool,
-    ) -> None:
-        self._out, self._prepared, self._variant, self._robot = out, prepared, variant, robot
-        self._data, self._split, self._config = data, split, config
-        self._prior, self._half = prior, half
-        self._written = time.monotonic()
-        self._state: dict[str, Any] | None = None
+    out: Path
+    prepared: Prepared
+    variant: Variant
+    robot: RobotDescription
+    data: GraspData
+    split: Split
+    config: SuccessTraining
+    prior: GraspPrior
+    half: bool
+    _written: float = field(default_factory=time.monotonic)
+    _state: dict[str, Any] | None = None
 
     def save_now_and_then(self, fitted: Fitted, state: dict[str, Any]) -> None:
         """Write after an epoch, if the last state is old enough."""
@@ -106,41 +101,39 @@ class Checkpointer:
         weights["network.calibration.scale"] = torch.tensor(fitted.platt.scale)
         weights["network.calibration.shift"] = torch.tensor(fitted.platt.shift)
         write_grasp_checkpoint(
-            self._out,
-            network=self._prepared.network,
-            encoder=self._prepared.encoder,
+            self.out,
+            network=self.prepared.network,
+            encoder=self.prepared.encoder,
             weights=weights,
-            prior=self._prior,
-            frozen_from=self._prepared.frozen_from,
-            mode=self._variant.mode,
-            robot=self._robot,
-            sweep=self._prepared.sweep,
+            prior=self.prior,
+            frozen_from=self.prepared.frozen_from,
+            mode=self.variant.mode,
+            robot=self.robot,
+            sweep=self.prepared.sweep,
             provenance=self._provenance(fitted),
             train_state=self._state,
-            half=self._half,
+            half=self.half,
         )
 
     def _provenance(self, fitted: Fitted) -> Mapping[str, Any]:
-        rows = np.concatenate([self._split.train, self._split.validation])
+        rows = np.concatenate([self.split.train, self.split.validation])
         return {
-            "variant": self._variant.title,
-            "training": asdict(self._config),
+            "variant": self.variant.title,
+            "training": asdict(self.config),
             "progress": {"epochs": len(fitted.history), "seconds": round(fitted.seconds, 1)},
             "calibration": fitted.platt._asdict(),
             "validation": self._judgement(fitted),
             "data": {
-                "meshes": sorted(
-                    self._data.meshes[k] for k in np.unique(self._data.object_of[rows])
-                ),
-                "train": describe_grasps(self._data, self._split.train),
-                "validation": describe_grasps(self._data, self._split.validation),
-                "folds": None if self._split.folds is None else int(self._split.folds.max()) + 1,
+                "meshes": sorted(self.data.meshes[k] for k in np.unique(self.data.object_of[rows])),
+                "train": describe_grasps(self.data, self.split.train),
+                "validation": describe_grasps(self.data, self.split.validation),
+                "folds": None if self.split.folds is None else int(self.split.folds.max()) + 1,
             },
             "git_commit": git_commit(),
         }
 
     def _judgement(self, fitted: Fitted) -> dict[str, float]:
-        label = self._data.label[self._split.validation]
+        label = self.data.label[self.split.validation]
         logits = fitted.validation_logits
         probability = expit(fitted.platt.scale * logits + fitted.platt.shift)
         return {
