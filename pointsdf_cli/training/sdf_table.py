@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.metrics import Score
 
-METRICS = ("iou", "chamfer", "normals")
+METRICS = {"iou": (1.0, 3), "chamfer": (1e3, 2), "normals": (1.0, 3)}
+"""Factor and digits of each metric in the table."""
 BOOTSTRAPS = 10_000
 
 #: Mean and, where printed, standard deviation in the paper's Table I; Chamfer-L1 in metres.
@@ -102,37 +103,20 @@ def statistic(values: NDArray[np.float64], groups: NDArray[np.integer], seed: in
 def table_lines(table: dict[str, Any], beside: str | None = None) -> list[str]:
     """The table as aligned text, with the published rows of the data set `beside`."""
     head = ("method", "IoU", "median", "95%", "Chamfer-L1 [mm]", "95%", "normals", "95%", "failed")
-    rows = [head]
+    rows: list[Sequence[str]] = [head]
     for method, entry in table.items():
-        volume, distance, normals = (entry[metric] for metric in METRICS)
-        rows.append(
-            (
-                method,
-                f"{volume['mean']:.3f} ({volume['deviation']:.3f})",
-                f"{volume['median']:.3f}",
-                f"{volume['low']:.3f}–{volume['high']:.3f}",
-                f"{1e3 * distance['mean']:.2f} ({1e3 * distance['deviation']:.2f})",
-                f"{1e3 * distance['low']:.2f}–{1e3 * distance['high']:.2f}",
-                f"{normals['mean']:.3f} ({normals['deviation']:.3f})",
-                f"{normals['low']:.3f}–{normals['high']:.3f}",
-                f"{entry['failures']} of {entry['views']}",
-            )
-        )
+        cells = [method]
+        for metric, (scale, digits) in METRICS.items():
+            found = entry[metric]
+            cells.append(_with_deviation((found["mean"], found["deviation"]), scale, digits))
+            if metric == "iou":
+                cells.append(f"{found['median']:.{digits}f}")
+            low, high = scale * found["low"], scale * found["high"]
+            cells.append(f"{low:.{digits}f}–{high:.{digits}f}")
+        rows.append((*cells, f"{entry['failures']} of {entry['views']}"))
     for method, published in PUBLISHED.get(beside or "", {}).items():
-        volume, distance, normals = (published[metric] for metric in METRICS)
-        rows.append(
-            (
-                method,
-                _with_deviation(volume, 1, 3),
-                "",
-                "",
-                _with_deviation(distance, 1e3, 2),
-                "",
-                _with_deviation(normals, 1, 3),
-                "",
-                "",
-            )
-        )
+        iou, chamfer, normals = (_with_deviation(published[m], *METRICS[m]) for m in METRICS)
+        rows.append((method, iou, "", "", chamfer, "", normals, "", ""))
     return aligned(rows)
 
 
