@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -264,7 +265,7 @@ class Run:
         config = {
             "architecture": training.model.architecture,
             "model": training.model.config(),
-            "training": training.config.as_dict(),
+            "training": asdict(training.config),
             "progress": {"step": training.steps, "seconds": seconds},
             "best": entry,
             "started_from": read_config(start) if start else None,

@@ -17,6 +17,7 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.provenance import data_sha256
 from pointsdf_cli.models.processor import keep_large_allocations
+from pointsdf_cli.training.checks import require_positive, require_share
 from pointsdf_cli.training.gs_calibration import Platt, fit_platt, negative_log_likelihood
 from pointsdf_cli.training.gs_data import GraspData, Split
 from pointsdf_cli.training.gs_inputs import Index, Learner
@@ -51,16 +52,8 @@ class SuccessTraining:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch_size", "learning_rate", "encoder_rate", "patience"):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise InputError(
-                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
-                )
-        if not 0.0 < self.validation < 1.0:
-            raise InputError(
-                f"{self.validation} is not a share", where="--validation", allowed="between 0 and 1"
-            )
+        require_positive(self, "epochs", "batch_size", "learning_rate", "encoder_rate", "patience")
+        require_share(self, "validation")
 
     def rate(self, step: int, steps: int) -> float:
         """Learning rate at a step."""

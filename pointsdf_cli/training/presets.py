@@ -8,6 +8,7 @@ from typing import Any
 
 from pointsdf_cli.choices import Model, Preset, require_choice
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.training.checks import option_of
 from pointsdf_cli.training.sdf_config import LOSSES, SdfLoss, TrainConfig
 
 POINTSDF: dict[str, dict[str, Any]] = {
@@ -84,8 +85,8 @@ def settings(model: str, name: str, given: Mapping[str, Any]) -> tuple[dict[str,
     for option in asked.keys() - {*used, "kind"}:
         raise InputError(
             f"the loss of {model} --preset {name} ({config.loss.kind}) does not use it",
-            where="--" + option.replace("_", "-"),
-            allowed=", ".join("--" + each.replace("_", "-") for each in used) or "none",
+            where=option_of(option),
+            allowed=", ".join(map(option_of, used)) or "none",
             hint="leave it out",
         )
     loss = replace(config.loss, **asked)

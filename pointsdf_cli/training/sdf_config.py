@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.training.checks import require_positive
 
 LOSSES: dict[str, tuple[str, ...]] = {
     "mse": (),
@@ -52,12 +52,9 @@ class SdfLoss:
     def __post_init__(self) -> None:
         if self.kind not in LOSSES:
             raise InputError(f"no loss {self.kind!r}", where="loss", allowed=", ".join(LOSSES))
-        for name in ("near", "temperature", "sign_weight"):
-            value = getattr(self, name)
-            if not 0 <= value < math.inf or (value == 0 and name != "sign_weight"):
-                raise InputError(
-                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
-                )
+        require_positive(self, "near", "temperature")
+        if self.sign_weight != 0:
+            require_positive(self, "sign_weight")
         if not 0 < self.quantile < 1:
             raise InputError(
                 f"{self.quantile} is no quantile", where="--quantile", allowed="between 0 and 1"
@@ -106,12 +103,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every", "minutes")
-        for name in positive:
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise InputError(
-                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
-                )
+        require_positive(self, *positive)
         if self.schedule not in ("cosine", "constant"):
             raise InputError(
                 f"no schedule {self.schedule!r}", where="--schedule", allowed="cosine, constant"
@@ -127,7 +119,3 @@ class TrainConfig:
         if self.schedule == "constant":
             return self.learning_rate * warm
         return self.learning_rate * warm * (0.02 + 0.49 * (1.0 + math.cos(math.pi * progress)))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain types for config.json."""
-        return asdict(self)

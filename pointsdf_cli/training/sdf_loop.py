@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -247,7 +248,7 @@ class _Run:
             return
         validated = self.history and self._loss_count == 0
         is_best = not self.history or (validated and _best(self.history) is self.history[-1])
-        model, config = self._model, self._config.as_dict()
+        model, config = self._model, asdict(self._config)
         write_checkpoint(
             out,
             config={
@@ -283,7 +284,7 @@ class _Run:
         """
         state = read_train_state(out)
         with state_as_input_error(out):
-            require_same_run(state, self._model, self._config.as_dict(), out)
+            require_same_run(state, self._model, asdict(self._config), out)
             require_same_data(state, self._data_hash, out)
             self._model.load_state_dict(state["model"])
             put_back_optimiser(self._optimiser, state["optimiser"])

@@ -12,6 +12,7 @@ from pointsdf_cli.io.checkpoints import has_train_state, read_config
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.checks import require_share
 from pointsdf_cli.training.presets import paper_steps, settings
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, held_out_names, split_views
@@ -37,10 +38,7 @@ class SdfRun:
     resume: bool = False
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.held_out < 1.0:
-            raise InputError(
-                f"{self.held_out} is not a share", where="--held-out", allowed="between 0 and 1"
-            )
+        require_share(self, "held_out")
 
     def begin(self, data: Pack, given: Mapping[str, Any]) -> Start:
         """Build the network, split the data and complete the settings.
@@ -84,10 +82,10 @@ class SdfRun:
             "data": {
                 "objects": len(data.names),
                 "views": len(data.scale),
-                "held_out": None if unknown else sorted({*names, *before.get("held_out", ())}),
-                "held_out_meshes": None
-                if unknown
-                else sorted({*meshes, *before.get("held_out_meshes", ())}),
+                **{
+                    key: None if unknown else sorted({*held_out, *before.get(key, ())})
+                    for key, held_out in (("held_out", names), ("held_out_meshes", meshes))
+                },
             },
             "git_commit": git_commit(),
         }
