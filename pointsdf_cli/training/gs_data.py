@@ -103,7 +103,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     held_out: dict[str, bool] = {}
     rows = []
     scenes = 0
-    push: tuple[Path, float] | None = None
+    pushes: dict[float, Path] = {}
     for file in artifacts_below(folder):
         grasps, meta = read_grasps(file)
         check_robot(robot, meta.robot, meta.preshape_joints, file)
@@ -113,7 +113,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         collection = collection_of(file)
         if "robot" in collection:
             _require_palm(kinematics, grasps.q[chosen[0]], grasps.T_world_palm[chosen[0]], file)
-        push = _require_push(push, file, collection.get("execution"))
+        _require_one_push(pushes, file, collection.get("execution"))
         held_out[meta.mesh_hash] = held_out.get(meta.mesh_hash, False) or meta.split == "test"
         number = list(held_out).index(meta.mesh_hash)
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
@@ -141,33 +141,27 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     return GraspData(names, kept, list(held_out), np.array(list(held_out.values())), *joined)
 
 
-def _require_push(
-    before: tuple[Path, float] | None, file: Path, execution: Any
-) -> tuple[Path, float] | None:
+def _require_one_push(pushes: dict[float, Path], file: Path, execution: Any) -> None:
     """Require one push for all files: what counts as success must not depend on the file.
 
     Args:
-        before: A file and its push [N]; None without one yet.
+        pushes: The first file with each push [N]; `file` is added.
         file: The next file.
         execution: Its options of the execution; None if something else wrote the file.
 
-    Returns:
-        The same for the next file.
-
     Raises:
-        InputError: Another push.
+        InputError: Another push than in the files before.
     """
-    if not isinstance(execution, Mapping):
-        return before
-    push = float(execution.get("push", 0.0))
-    if before is not None and push != before[1]:
+    if isinstance(execution, Mapping):
+        pushes.setdefault(float(execution.get("push", 0.0)), file)
+    if len(pushes) > 1:
+        (before, first), (push, _) = pushes.items()
         raise InputError(
-            f"was collected with --push {push:g}, {before[0]} with --push {before[1]:g}: success "
+            f"was collected with --push {push:g}, {first} with --push {before:g}: success "
             "means two things",
             where=file,
             hint="read folders of one kind: --grasps FOLDER",
         )
-    return before or (file, push)
 
 
 PALM_OFF = 2e-3
@@ -201,13 +195,8 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
     Raises:
         InputError: Too few objects, or grasps of one label only in training or validation.
     """
-    free = np.flatnonzero(~data.held_out)
-    count = max(1, round(validation * len(free)))
-    if len(free) < 2 or count >= len(free):
-        raise InputError(
-            f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
-        )
-    chosen = np.random.default_rng([seed, 7]).permutation(free)
+    count = max(1, round(validation * int((~data.held_out).sum())))
+    chosen = _objects_to_learn(data, count, seed)
     validates = np.isin(data.object_of, chosen[:count])
     trains = np.isin(data.object_of, chosen[count:])
     _check_both_labels(data.label[trains], "train on")
@@ -227,16 +216,22 @@ def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:
     Raises:
         InputError: Fewer than two objects, or grasps of one label only.
     """
-    free = np.flatnonzero(~data.held_out)
-    if len(free) < 2:
-        raise InputError(
-            f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
-        )
+    free = _objects_to_learn(data, 1, seed)
     fold_of = np.full(len(data.held_out), -1)
-    fold_of[np.random.default_rng([seed, 7]).permutation(free)] = np.arange(len(free)) % folds
+    fold_of[free] = np.arange(len(free)) % folds
     rows = np.flatnonzero(~data.held_out[data.object_of])
     _check_both_labels(data.label[rows], "train on")
     return Split(rows, rows, np.flatnonzero(data.held_out[data.object_of]), fold_of[data.object_of])
+
+
+def _objects_to_learn(data: GraspData, validating: int, seed: int) -> NDArray[np.int64]:
+    """The objects that are not held out, in random order; more than validate, and two at least."""
+    free = np.flatnonzero(~data.held_out)
+    if len(free) < max(2, validating + 1):
+        raise InputError(
+            f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
+        )
+    return np.random.default_rng([seed, 7]).permutation(free)
 
 
 def _check_both_labels(label: NDArray[np.float32], purpose: str) -> None:
