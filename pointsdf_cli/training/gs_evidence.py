@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.atomic import require_folder
 from pointsdf_cli.io.batch import run_stage
 from pointsdf_cli.io.grasp_evidence import Evidence, join_evidence, read_evidence, write_evidence
-from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.io.grasps import Grasps, read_grasps
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.models.grasp_checkpoint import weights_hash
 from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_body
@@ -125,64 +124,53 @@ def make_evidence(task: EvidenceTask) -> int:
     grasps, meta = read_grasps(task.grasps)
     columns = [meta.joint_names.index(joint) for joint in robot.preshape_joints]
     chosen = np.flatnonzero(grasps.executed)
+    scene = grasps.scene[chosen]
     if task.sweep is None:
-        evidence = _embeddings(model, grasps.cloud[chosen], grasps.T_world_camera[chosen],
-                               grasps.scene[chosen])  # fmt: skip
-        write_evidence(task.out, evidence, task.key)
-        return len(chosen)
-    features = GraspFeatures(HandSweep(robot, task.sweep), robot.preshape_ranges)
-    parts, order = [], []
-    for scene in np.unique(grasps.scene[chosen]):
-        rows = chosen[grasps.scene[chosen] == scene]
-        order.append(rows)
-        parts.append(
-            _scene_evidence(
-                model,
-                grasps.cloud[rows[0]],
-                grasps.T_world_camera[rows[0]],
-                grasps.evidence[rows[0]],
-                grasps.q[rows][:, columns],
-                grasps.T_world_palm[rows],
-                features,
-            )
-        )
-    evidence = join_evidence(parts)
-    back = np.argsort(np.concatenate(order), kind="stable")
-    evidence = Evidence(**{name: getattr(evidence, name)[back] for name in vars(evidence)})
+        evidence = _embeddings(model, grasps.cloud[chosen], grasps.T_world_camera[chosen], scene)
+    else:
+        features = GraspFeatures(HandSweep(robot, task.sweep), robot.preshape_ranges)
+        scenes = [chosen[scene == k] for k in np.unique(scene)]
+        parts = [_scene_evidence(model, grasps, rows, columns, features) for rows in scenes]
+        evidence = join_evidence(parts)
+        back = np.argsort(np.concatenate(scenes), kind="stable")
+        evidence = Evidence(**{name: array[back] for name, array in vars(evidence).items()})
     write_evidence(task.out, evidence, task.key)
     return len(chosen)
 
 
 def _scene_evidence(
     model: ShapeModel,
-    cloud: NDArray[np.float32],
-    T_world_camera: NDArray[np.float64],
-    known: ViewEvidence,
-    preshape: NDArray[np.float64],
-    T_world_palm: NDArray[np.float64],
+    grasps: Grasps,
+    rows: NDArray[np.int64],
+    columns: list[int],
     features: GraspFeatures,
 ) -> Evidence:
-    """Evidence of all grasps [G] of one scene, whose view is encoded once."""
-    count = len(preshape)
-    points = apply_transform(T_world_camera, cloud)
-    position, axes = T_world_camera[:3, 3], T_world_camera[:3, :3]
+    """Evidence of the grasps `rows` [G] of one scene, whose view is encoded once.
+
+    Args:
+        model: The shape network.
+        grasps: Grasps of one file.
+        rows: Indices of the scene's grasps.
+        columns: Columns of the preshape joints in `grasps.q`.
+        features: Features that tell at which points distances are asked for.
+    """
+    first, count = rows[0], len(rows)
+    pose = grasps.T_world_camera[first]
+    points = apply_transform(pose, grasps.cloud[first])
     # One sampling, as `_embeddings` reads it.
-    shape = Reconstruction.from_cloud(model, points, position, axes, evidence=known, tries=1)
-    low_precision = autocast_dtype("auto", torch.device("cpu"))
-
-    def field(x: NDArray[np.floating]) -> NDArray[np.float32]:
-        with torch.autocast("cpu", low_precision, enabled=low_precision is not None):
-            return shape.sdf(x)
-
-    asked = features.points(torch.tensor(preshape), torch.tensor(T_world_palm))
-    found = object_body(points, field)
+    shape = Reconstruction.from_cloud(
+        model, points, pose[:3, 3], pose[:3, :3], evidence=grasps.evidence[first], tries=1
+    )
+    preshape, palm = grasps.q[rows][:, columns], grasps.T_world_palm[rows]
+    asked = features.points(torch.tensor(preshape), torch.tensor(palm))
+    found = object_body(points, shape.sdf)
     body = torch.cat([found.centre, found.mass_centre, found.numbers]).numpy()
     return Evidence(
         embedding=np.repeat(shape.embedding[None], count, axis=0).astype(np.float32),
         centre=np.repeat(shape.centre[None], count, axis=0),
         scale=np.full(count, shape.scale),
         size=np.repeat(shape.size[None], count, axis=0).astype(np.float32),
-        distance=field(asked.numpy()),
+        distance=shape.sdf(asked.numpy()),
         body=np.repeat(body[None], count, axis=0),
     )
 
