@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.linear import dense
 from pointsdf_cli.models.rebuildable import Rebuildable
 
 POSE_SIZE = 9
@@ -84,9 +85,9 @@ class EmbeddingNet(Rebuildable):
         self.keep_arguments(locals())
         self.grasp_scale = Standardise(joints + POSE_SIZE)
         self.size_scale = Standardise(3)
-        self.grasp = _dense([joints + POSE_SIZE, 14, 8])
-        self.cloud = _dense([embedding + 3, 128, 64], dropout)
-        self.joined = _dense([72, 64, 32], dropout)
+        self.grasp = dense([joints + POSE_SIZE, 14, 8], nn.LayerNorm)
+        self.cloud = dense([embedding + 3, 128, 64], nn.LayerNorm, dropout)
+        self.joined = dense([72, 64, 32], nn.LayerNorm, dropout)
         self.leave = nn.Linear(32, 1)
         self.calibration = Calibration()
 
@@ -183,12 +184,3 @@ class Members(nn.Module):
 NETWORKS: dict[str, type[EmbeddingNet] | type[GeometryNet]] = {
     net.inputs: net for net in (EmbeddingNet, GeometryNet)
 }
-
-
-def _dense(widths: Sequence[int], dropout: float = 0.0) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for a, b in itertools.pairwise(widths):
-        layers += [nn.Linear(a, b), nn.LayerNorm(b), nn.ReLU()]
-        if dropout:
-            layers.append(nn.Dropout(dropout))
-    return nn.Sequential(*layers)

@@ -6,6 +6,9 @@ GFLOP/s on one Zen 5 core, where oneDNN, which PyTorch uses for bfloat16, reache
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Sequence
+
 import torch
 from torch import Tensor, nn
 
@@ -30,3 +33,25 @@ def onednn_is_faster() -> bool:
     wide = {"AuthenticAMD", "avx512f"} <= cpu_features()
     has_operator = hasattr(torch.ops.mkldnn, "_linear_pointwise")
     return wide and torch.backends.mkldnn.is_available() and has_operator
+
+
+def dense(
+    widths: Sequence[int],
+    norm: Callable[[int], nn.Module],
+    dropout: float = 0.0,
+    linear: type[nn.Linear] = nn.Linear,
+) -> nn.Sequential:
+    """Linear layer, normalisation, ReLU and dropout for each pair of widths.
+
+    Args:
+        widths: Channels before the first layer and after each.
+        norm: Makes the normalisation of so many channels.
+        dropout: Dropout after each layer; 0 for none.
+        linear: Kind of linear layer.
+    """
+    layers: list[nn.Module] = []
+    for a, b in itertools.pairwise(widths):
+        layers += [linear(a, b), norm(b), nn.ReLU()]
+        if dropout:
+            layers.append(nn.Dropout(dropout))
+    return nn.Sequential(*layers)

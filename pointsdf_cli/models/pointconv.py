@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
-from pointsdf_cli.models.linear import Linear
+from pointsdf_cli.models.linear import Linear, dense
 from pointsdf_cli.models.neighbours import gather
 
 
@@ -72,13 +73,7 @@ class PointConv(nn.Module):
         self.bias = None if in_channels else nn.Parameter(torch.zeros(hidden[0]))
         inner_norm = norm if norm == "batch" else "none"
         self.first_norm = ChannelNorm(hidden[0], inner_norm)
-        self.mlp = nn.Sequential(
-            *[
-                layer
-                for a, b in itertools.pairwise(hidden)
-                for layer in (Linear(a, b), ChannelNorm(b, inner_norm), nn.ReLU())
-            ]
-        )
+        self.mlp = dense(hidden, partial(ChannelNorm, kind=inner_norm), linear=Linear)
         widths = [3, *weight_hidden, weight_channels]
         layers: list[nn.Module] = []
         for step, (a, b) in enumerate(itertools.pairwise(widths)):

@@ -6,12 +6,13 @@ are off in evaluation mode, so values and gradients then depend on one cloud and
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.linear import dense
 from pointsdf_cli.models.neighbours import (
     farthest_point_order,
     gather,
@@ -80,9 +81,9 @@ class PointSDF(ShapeModel):
             nn.ReLU(),
             nn.Dropout(dropout),
         )
-        joint = 2 * self.embedding_size
-        self.head = _dense([joint, *head])
-        self.tail = _dense([head[-1] + joint, *tail])
+        joint, batch_norm = 2 * self.embedding_size, partial(ChannelNorm, kind="batch")
+        self.head = dense([joint, *head], batch_norm)
+        self.tail = dense([head[-1] + joint, *tail], batch_norm)
         self.leave = nn.Linear(tail[-1], 1)
 
     def encode(
@@ -116,14 +117,3 @@ class PointSDF(ShapeModel):
         joint = torch.cat([embedding.to(query.dtype), query], dim=-1)
         h = self.tail(torch.cat([self.head(joint), joint], dim=-1))
         return torch.tanh(self.leave(h)).squeeze(-1).to(x.dtype)
-
-
-def _dense(widths: Sequence[int]) -> nn.Sequential:
-    """FC + batch norm + ReLU for each pair of widths."""
-    return nn.Sequential(
-        *[
-            layer
-            for a, b in itertools.pairwise(widths)
-            for layer in (nn.Linear(a, b), ChannelNorm(b, "batch"), nn.ReLU())
-        ]
-    )
