@@ -34,10 +34,10 @@ class VoxelCNN(ShapeModel):
     def __init__(self) -> None:
         super().__init__()
         self.encoder = nn.Sequential(
-            *_convolution(1, 8, 5),
-            *_convolution(8, 16, 3, stride=2, padding=1),
-            *_convolution(16, 32, 3),
-            *_convolution(32, 64, 3, stride=2, padding=1),
+            *_normed(nn.Conv3d(1, 8, 5)),
+            *_normed(nn.Conv3d(8, 16, 3, stride=2, padding=1)),
+            *_normed(nn.Conv3d(16, 32, 3)),
+            *_normed(nn.Conv3d(32, 64, 3, stride=2, padding=1)),
             nn.Flatten(),
         )
         with torch.no_grad():
@@ -50,14 +50,10 @@ class VoxelCNN(ShapeModel):
             nn.Linear(self.embedding_size, 7**3), nn.BatchNorm1d(7**3), nn.ELU()
         )
         self.decoder = nn.Sequential(
-            *_convolution(1, 64, 3, padding=1),
-            nn.ConvTranspose3d(64, 32, 3, stride=2),
-            nn.BatchNorm3d(32),
-            nn.ELU(),
-            *_convolution(32, 16, 3, padding=1),
-            nn.ConvTranspose3d(16, 8, 3, stride=2),
-            nn.BatchNorm3d(8),
-            nn.ELU(),
+            *_normed(nn.Conv3d(1, 64, 3, padding=1)),
+            *_normed(nn.ConvTranspose3d(64, 32, 3, stride=2)),
+            *_normed(nn.Conv3d(32, 16, 3, padding=1)),
+            *_normed(nn.ConvTranspose3d(16, 8, 3, stride=2)),
             # 7 → 15 → 31; one more plane of padding and the last layer gives 32.
             nn.ConstantPad3d((1, 2, 1, 2, 1, 2), 0.0),
             nn.Conv3d(8, 1, 3),
@@ -97,11 +93,5 @@ def occupancy(cloud: Tensor) -> Tensor:
     return grid.scatter_(1, flat, 1.0).view(-1, GRID, GRID, GRID)
 
 
-def _convolution(
-    in_channels: int, out_channels: int, size: int, stride: int = 1, padding: int = 0
-) -> list[nn.Module]:
-    return [
-        nn.Conv3d(in_channels, out_channels, size, stride=stride, padding=padding),
-        nn.BatchNorm3d(out_channels),
-        nn.ELU(),
-    ]
+def _normed(layer: nn.Conv3d | nn.ConvTranspose3d) -> list[nn.Module]:
+    return [layer, nn.BatchNorm3d(layer.out_channels), nn.ELU()]
