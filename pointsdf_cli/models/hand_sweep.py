@@ -98,19 +98,17 @@ class HandSweep:
         self._lower, self._upper = lower[self._closing], upper[self._closing]
         speed = torch.tensor(robot.closing_speeds.copy(), dtype=torch.float32)
         # Times from the middle preshape; joints that start elsewhere arrive earlier or later.
-        start = self._rest.clone()
         self.preshapes = torch.tensor(robot.preshape_ranges.copy(), dtype=torch.float32)
-        middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
-        self._middle = middle
-        start[self._preshape] = middle
+        self._middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
+        start = self._rest.index_copy(0, self._preshape, self._middle)
         end = torch.where(speed > 0, self._upper, self._lower)
         duration = float(((end - start[self._closing]) / speed).max())
         times = torch.linspace(0.0, self.config.share * duration, self.config.stages)
         self._advance = times[:, None] * speed
-        self._place_points(robot, surface)
+        self._place_points(robot, surface, self._link_motion(start))
         self.region = torch.zeros(0, 3)
         with torch.no_grad():
-            swept = self(middle[None])[1].reshape(-1, 3)
+            swept = self(self._middle[None])[1].reshape(-1, 3)
         self.region = box_grid(swept, self.config.grid, self.config.narrowest)
 
     def course(self) -> NDArray[np.float64]:
@@ -206,42 +204,39 @@ class HandSweep:
         return ((axes.axis * chosen).sum(1) * axes.free).sum(1).T
 
     def _place_points(
-        self, robot: RobotDescription, surface: Mapping[str, NDArray[np.float64]]
+        self,
+        robot: RobotDescription,
+        surface: Mapping[str, NDArray[np.float64]],
+        ahead: Callable[[int], Motion],
     ) -> None:
         moved = set(robot.tree.beyond(robot.closing_joints))
-        ahead = self._link_motion(robot)
-        points: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
-        links: dict[bool, list[int]] = {True: [], False: []}
-        for number, link in enumerate(self._chain.links):
-            if link not in surface:
-                continue
-            moves = link in moved
-            if moves:
-                chosen = pad_points(surface[link], ahead(number), self.config.points_per_pad)
-            else:
-                chosen = middles(surface[link], self.config.points_per_link)
-            points[moves].append(chosen)
-            links[moves] += [number] * len(chosen)
-        if not points[True]:
+        shown = {k: link for k, link in enumerate(self._chain.links) if link in surface}
+        pads = {
+            k: pad_points(surface[link], ahead(k), self.config.points_per_pad)
+            for k, link in shown.items()
+            if link in moved
+        }
+        still = {
+            k: middles(surface[link], self.config.points_per_link)
+            for k, link in shown.items()
+            if link not in moved
+        }
+        if not pads:
             raise InputError(
                 "no link with a shape moves when the hand closes",
                 where=robot.name,
                 allowed="closing_joints that move links with collision shapes",
             )
-        self._moving = torch.tensor(np.concatenate(points[True]), dtype=torch.float32)
-        self._moving_link = torch.tensor(links[True])
-        still = points[False] or [np.zeros((0, 3))]
-        self._still = torch.tensor(np.concatenate(still), dtype=torch.float32)
-        self._still_link = torch.tensor(links[False], dtype=torch.long)
+        self._moving, self._moving_link = _joined(pads)
+        self._still, self._still_link = _joined(still)
         below = self._chain.below[self._preshape]
         self.pads_under = below[:, self._moving_link]
         self._still_under = below[:, self._still_link]
         self._slides = self._chain.slides[self._preshape]
 
-    def _link_motion(self, robot: RobotDescription) -> Callable[[int], Motion]:
-        """Motion of a link's points, in its own frame, after a quarter of the closing."""
-        middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
-        start = self._rest.index_copy(0, self._preshape, middle)
+    def _link_motion(self, start: Tensor) -> Callable[[int], Motion]:
+        """Motion of a link's points, in its own frame, after a quarter of the closing from joint
+        values [J]."""
         begin = self.config.stages // 4
         closing = start[self._closing] + self._advance[begin : begin + 2]
         closing = closing.clamp(self._lower, self._upper).T
@@ -300,6 +295,13 @@ class _Swept(torch.autograd.Function):
                 [torch.stack([*((s * x).sum(0) for x in points), s.sum(0)]) for s in slope]
             ).permute(2, 0, 1)
         return to_preshape, to_palm, None
+
+
+def _joined(points: Mapping[int, NDArray[np.float64]]) -> tuple[Tensor, Tensor]:
+    """Points f4 [P, 3] of links, by the links' numbers, and the link of each int [P]."""
+    places = np.concatenate([np.zeros((0, 3)), *points.values()])
+    links = [link for link, of_link in points.items() for _ in of_link]
+    return torch.tensor(places, dtype=torch.float32), torch.tensor(links, dtype=torch.long)
 
 
 def _placed(rotation: Tensor, position: Tensor, link: Tensor, points: Tensor) -> Tensor:
