@@ -26,7 +26,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rays import use_embree_without_open3d
-from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
@@ -39,6 +38,7 @@ from pointsdf_cli.geometry.visibility import SIZE
 from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.surroundings import signed_distance
 from pointsdf_cli.objects.generate import make_object
 
 MOST_POINTS = 3000
@@ -49,6 +49,7 @@ UNKNOWN = -60.0
 FARTHEST = 8.0
 """Free depths are clipped to this, network units behind or before the object."""
 ALL_INSIDE = 99.0
+"""Distance to a region that holds every cell or none [cells]; no other distance is as large."""
 COLOUR = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
 """Depth registered to a colour camera of long focal length."""
 CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0.2}
@@ -164,8 +165,8 @@ def view_arrays(view: SceneView, rng: np.random.Generator) -> dict[str, NDArray]
         window, seen, depth = view.evidence.visibility
         behind = np.clip((depth - frame.centre[2]) * frame.scale, -FARTHEST, FARTHEST)
         free[depth > 0] = behind[depth > 0]
-        regions[0] = _signed_cells((depth > 0) & (behind > 0.6))
-        regions[1] = _signed_cells(seen)
+        regions[0] = signed_distance((depth > 0) & (behind > 0.6), 1.0, ALL_INSIDE)
+        regions[1] = signed_distance(seen, 1.0, ALL_INSIDE)
         known[0] = 1.0
     if view.evidence.support_plane is not None:
         normal, offset = view.evidence.support_plane[:3], view.evidence.support_plane[3]
@@ -182,14 +183,6 @@ def view_arrays(view: SceneView, rng: np.random.Generator) -> dict[str, NDArray]
     arrays: dict[str, NDArray] = {k: np.asarray(v, np.float32) for k, v in single.items()}
     total = np.array(count, np.int32)
     return arrays | {"points": kept, "count": total, "free": free, "regions": regions}
-
-
-def _signed_cells(inside: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Signed distance to a region [cells], negative inside."""
-    if inside.all() or not inside.any():
-        return np.full(inside.shape, -ALL_INSIDE if inside.all() else ALL_INSIDE)
-    apart = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
-    return apart - np.sign(apart) * 0.5
 
 
 def label_arrays(mesh: LoadedMesh, rng: np.random.Generator) -> dict[str, NDArray]:

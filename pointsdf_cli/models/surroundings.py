@@ -77,8 +77,8 @@ def surroundings_arrays(
         cell = window[2] / SIZE * reference
         depth = np.clip(free * frame.scale - reference, -FARTHEST, FARTHEST)
         maps[0] = np.where(free > 0, depth, -FARTHEST)
-        maps[1] = _signed_distance(maps[0] > THROUGH, cell)
-        maps[2] = _signed_distance(seen, cell)
+        maps[1] = signed_distance(maps[0] > THROUGH, cell, WIDEST)
+        maps[2] = signed_distance(seen, cell, WIDEST)
         maps[3] = free == 0
         to_map[:, :2] = np.diag(2.0 / (window[2:] * reference))
         to_map[:, 2] = -2.0 * window[:2] / window[2:] - 1.0
@@ -209,11 +209,17 @@ def plane_evidence(x: Tensor, cloud: Tensor, around: Surroundings) -> Tensor:
     )
 
 
-def _signed_distance(inside: NDArray[np.bool_], cell: float) -> NDArray[np.float64]:
-    """Distances [SIZE, SIZE] to a region of cells, below zero inside, clipped to ±`WIDEST`."""
+def signed_distance(inside: NDArray[np.bool_], cell: float, widest: float) -> NDArray[np.float64]:
+    """Distances to a region of cells bool [H, W], below zero inside, clipped to ±`widest`.
+
+    Args:
+        inside: The cells of the region.
+        cell: Side of a cell.
+        widest: Largest distance, in the unit of `cell`.
+    """
     if inside.all() or not inside.any():
-        return np.full(inside.shape, -WIDEST if inside.all() else WIDEST)
+        return np.full(inside.shape, -widest if inside.all() else widest)
     outer = scipy.ndimage.distance_transform_edt(~inside)
     inner = scipy.ndimage.distance_transform_edt(inside)
     distance: NDArray[np.float64] = (outer - inner - np.sign(outer - inner) * 0.5) * cell
-    return np.clip(distance, -WIDEST, WIDEST)
+    return np.clip(distance, -widest, widest)
