@@ -24,7 +24,7 @@ from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import SAMPLES, Score, Shape, compare, failure
 from pointsdf_cli.io.batch import StageReport, task_seed
-from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
+from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh, named_artifacts
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.io.views import Views, read_views, read_views_header
 from pointsdf_cli.models.meshing import mesh_reconstruction
@@ -38,6 +38,8 @@ from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
 PARTIAL_HULL = "convex hull of the partial cloud"
 TRUTH_HULL = "convex hull of the truth"
+SETTINGS = ("resolution", "samples", "precision", "exact", "seed")
+"""Settings that are told with the results."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +123,13 @@ def make_tasks(
     Raises:
         InputError: There are no meshes, none has views, or none has a name in `aside`.
     """
-    tasks = []
-    for mesh in find_meshes(meshes, pattern):
-        relative = mesh.relative_to(meshes) if meshes.is_dir() else Path(mesh.name)
-        artifact = views / relative.with_suffix(".h5")
-        if artifact.exists():
-            tasks.append(EvalTask(relative.with_suffix("").as_posix(), artifact, mesh, config))
+    tasks = [
+        EvalTask(name, artifact, mesh, config)
+        for name, (mesh, artifact) in named_artifacts(
+            find_meshes(meshes, pattern), meshes, views
+        ).items()
+        if artifact.exists()
+    ]
     if not tasks:
         raise InputError(
             f"no mesh of {meshes} has its views here",
@@ -169,11 +172,7 @@ def results(
         "meshes_folder": str(folders[1]),
         "apart_objects": sorted(aside),
         "refused": {name: error.what for name, error in report.refused},
-        "resolution": config.resolution,
-        "samples": config.samples,
-        "precision": config.precision,
-        "exact": config.exact,
-        "seed": config.seed,
+        **{name: getattr(config, name) for name in SETTINGS},
         "git_commit": git_commit(),
         "seconds": round(report.seconds, 1),
     }

@@ -20,6 +20,7 @@ import torch
 
 from pointsdf_cli.choices import Encoder, Mode, require_choice
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.checkpoints import read_checkpoint, read_config
 from pointsdf_cli.models.grasp_checkpoint import (
     FIXED,
@@ -218,11 +219,10 @@ def places_of(data: GraspData, robot: RobotDescription) -> list[ObjectPlace]:
     """The place of each grasp's object, from its cloud."""
     base = robot.T_world_base[:3, 3]
     first, back = np.unique(data.scene_of, return_index=True, return_inverse=True)[1:]
-    of_scene = []
-    for row in first:
-        pose = data.T_world_camera[row]
-        points = data.cloud[row].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        of_scene.append(ObjectPlace.of(points, base))
+    of_scene = [
+        ObjectPlace.of(apply_transform(data.T_world_camera[row], data.cloud[row]), base)
+        for row in first
+    ]
     return [of_scene[scene] for scene in back]
 
 

@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ from pointsdf_cli.models.neighbours import farthest_point_order
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.shape_model import PACKED_CENTRES as CENTRES
 from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
-from pointsdf_cli.models.surroundings import surroundings_arrays
+from pointsdf_cli.models.surroundings import Surroundings, surroundings_arrays
 from pointsdf_cli.training.array_files import ArrayWriter, write_array
 
 FORMAT = 4
@@ -84,12 +84,8 @@ class Pack:
     meshes: tuple[str, ...]
 
 
-SURROUNDINGS = ("maps", "to_map", "plane", "known")
-ARRAYS = (
-    *("clouds", "neighbours", "cameras", "to_network", "scale", "object_of_view"),
-    *SURROUNDINGS,
-)
-LABEL_ARRAYS = ("points", "sdf", "label_start")
+SURROUNDINGS = Surroundings._fields
+ARRAYS = tuple(each.name for each in fields(Pack) if each.name not in ("names", "meshes"))
 
 
 def pair_artifacts(views: Path | str, labels: Path | str) -> list[tuple[Path, Path]]:
@@ -194,7 +190,7 @@ def pack_views(
     T_camera_object: NDArray[np.float64],
     evidence: Sequence[ViewEvidence] | None = None,
 ) -> dict[str, NDArray]:
-    """One object's per-view arrays (all of `ARRAYS` but `object_of_view`)."""
+    """One object's per-view arrays (those of `Pack` but `object_of_view`)."""
     frames = [network_frame(c) for c in cloud]
     centre = np.stack([f.centre for f in frames])
     scale = np.array([f.scale for f in frames])
@@ -215,10 +211,9 @@ def pack_views(
         surroundings_arrays(known, frame)
         for known, frame in zip(evidence or [ViewEvidence()] * len(frames), frames, strict=True)
     ]
-    columns = (np.stack(column) for column in zip(*around, strict=True))
-    known_around = dict(zip(SURROUNDINGS, columns, strict=True))
-    known_around["maps"] = known_around["maps"].astype(np.float16)
-    return known_around | {
+    columns = dict(zip(SURROUNDINGS, map(np.stack, zip(*around, strict=True)), strict=True))
+    return columns | {
+        "maps": columns["maps"].astype(np.float16),
         "clouds": np.stack(packed),
         "neighbours": np.stack(neighbours).astype(np.uint16),
         "cameras": (-centre * scale[:, None]).astype(np.float32),
@@ -311,7 +306,7 @@ def read_pack(folder: Path) -> Pack:
 
 def load_pack(folder: Path, names: tuple[str, ...], meshes: tuple[str, ...]) -> Pack:
     """The arrays of a finished pack, mapped into memory."""
-    arrays = {n: read_npy_array(folder / f"{n}.npy") for n in (*ARRAYS, *LABEL_ARRAYS)}
+    arrays = {n: read_npy_array(folder / f"{n}.npy") for n in ARRAYS}
     return Pack(**arrays, names=names, meshes=meshes)
 
 
