@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.checkpoints import Checkpoint, read_checkpoint
+from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint
 from pointsdf_cli.models.pointsdf import PointSDF
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.processor import use_threads as use_threads
@@ -64,6 +65,17 @@ def load_model(path: Path | str | None = None, device: str = "cpu") -> ShapeMode
             other shapes.
     """
     return model_from_checkpoint(read_checkpoint(path or default_checkpoint())).to(device)
+
+
+def load_cached(checkpoint: Path) -> ShapeModel:
+    """`load_model`, once in a process while the weights' file stays the same."""
+    weights = checkpoint / WEIGHTS
+    return _loaded(checkpoint, weights.stat().st_mtime_ns if weights.is_file() else 0)
+
+
+@lru_cache(maxsize=4)
+def _loaded(checkpoint: Path, written: int) -> ShapeModel:
+    return load_model(checkpoint)
 
 
 def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:

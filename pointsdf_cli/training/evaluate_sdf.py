@@ -29,9 +29,8 @@ from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.io.views import Views, read_views, read_views_header
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import use_threads
+from pointsdf_cli.models.registry import load_cached, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.training.cached_model import load_cached
 from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_table import PUBLISHED, ScoredView, summarise, table_lines
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery

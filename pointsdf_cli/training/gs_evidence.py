@@ -29,10 +29,9 @@ from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import use_threads
+from pointsdf_cli.models.registry import load_cached, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import load_robot, robot_digest
-from pointsdf_cli.training.cached_model import load_cached
 from pointsdf_cli.training.gs_data import GraspData
 from pointsdf_cli.training.precision import autocast_dtype
 
