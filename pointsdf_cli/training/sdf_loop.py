@@ -29,10 +29,9 @@ from pointsdf_cli.training.resuming import (
 )
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
-from pointsdf_cli.training.sdf_loss import sdf_loss
+from pointsdf_cli.training.sdf_loss import sdf_loss, validate
 from pointsdf_cli.training.sdf_pack import Pack
 from pointsdf_cli.training.sdf_progress import Progress, TrainResult
-from pointsdf_cli.training.sdf_validation import validate
 
 LABEL_STRIDE = 101
 """Stride of the labels that identify a data set."""
