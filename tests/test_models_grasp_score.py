@@ -17,7 +17,7 @@ from grasp_worlds import camera_pose, seen_ball, side_palm
 from pointsdf_cli.assets import bundled_robots
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
-from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.checkpoint_kinds import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import (
     read_grasp_checkpoint,
     reconstruction_for,

@@ -16,7 +16,7 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_vector, transform
 from pointsdf_cli.io.meshes import LoadedMesh
-from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.checkpoint_kinds import bundled_success
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig

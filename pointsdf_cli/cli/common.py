@@ -275,7 +275,7 @@ def say_if_from_another(
     if method != "reconstruction" or (checkpoint is None and success is None):
         return
 
-    from pointsdf_cli.models.bundled_success import bundled_success
+    from pointsdf_cli.models.checkpoint_kinds import bundled_success
     from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, reconstruction_of_training
     from pointsdf_cli.robot.description import load_robot
 

@@ -1,4 +1,4 @@
-"""Checks of checkpoints by their config.json, without the seconds of imports that networks take."""
+"""Kinds of checkpoints by their config.json, without the seconds of imports that networks take."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+from pointsdf_cli.assets import assets_folder
 from pointsdf_cli.choices import Model
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_config
-from pointsdf_cli.models.bundled_success import ARCHITECTURE
 from pointsdf_cli.robot.description import RobotDescription
+
+ARCHITECTURE = "grasp-success"
 
 
 def require_reconstructions(paths: Iterable[Path | None]) -> None:
@@ -72,3 +74,32 @@ def check_robot(
             hint="give that robot's YAML with --robot; for another hand train a network with "
             "collect-grasps and train-gs --robot, and plan with --grasp-checkpoint",
         )
+
+
+def bundled_success(robot: RobotDescription, inputs: str = "geometry") -> Path | None:
+    """The bundled checkpoint that learned with a robot of this name; None if there is none.
+
+    Args:
+        robot: The robot.
+        inputs: Inputs of its network, a key of `NETWORKS`.
+    """
+    for folder in sorted((assets_folder() / "weights").iterdir()):
+        config = read_config(folder)
+        learned = config.get("robot")
+        if (
+            config.get("architecture") == ARCHITECTURE
+            and config.get("inputs") == inputs
+            and isinstance(learned, Mapping)
+            and learned.get("name") == robot.name
+        ):
+            return folder
+    return None
+
+
+def grasps_learned_from(config: Mapping[str, Any]) -> int | None:
+    """Number of executed grasps that a checkpoint with this config.json was trained on; None if it
+    does not say."""
+    try:
+        return int(config["data"]["train"]["grasps"])
+    except (KeyError, TypeError, ValueError):
+        return None

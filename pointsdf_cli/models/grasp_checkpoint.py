@@ -25,8 +25,12 @@ from pointsdf_cli.io.checkpoints import (
     write_checkpoint,
 )
 from pointsdf_cli.io.provenance import file_sha256
-from pointsdf_cli.models.bundled_success import ARCHITECTURE, bundled_success
-from pointsdf_cli.models.checkpoint_kinds import check_robot, check_success
+from pointsdf_cli.models.checkpoint_kinds import (
+    ARCHITECTURE,
+    bundled_success,
+    check_robot,
+    check_success,
+)
 from pointsdf_cli.models.grasp_features import GraspFeatures
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet

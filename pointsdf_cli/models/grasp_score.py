@@ -24,7 +24,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import apply_transform, is_rigid
 from pointsdf_cli.models.best_sampling import SAMPLINGS
-from pointsdf_cli.models.bundled_success import grasps_learned_from
+from pointsdf_cli.models.checkpoint_kinds import grasps_learned_from
 from pointsdf_cli.models.grasp_checkpoint import GraspParts, read_grasp_checkpoint
 from pointsdf_cli.models.grasp_features import FAR, GraspFeatures, ObjectBody, object_body
 from pointsdf_cli.models.grasp_prior import ObjectPlace

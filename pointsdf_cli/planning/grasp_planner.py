@@ -25,7 +25,7 @@ from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.checkpoint_kinds import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.processor import lap, timed

@@ -15,7 +15,7 @@ import numpy as np
 
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.checkpoint_kinds import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, weights_hash
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seeds import MANY_SEEDS
