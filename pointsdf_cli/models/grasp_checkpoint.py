@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path, assets_folder
@@ -35,7 +34,7 @@ from pointsdf_cli.models.grasp_features import GraspFeatures
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
-from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
+from pointsdf_cli.models.registry import build_model, default_checkpoint, float_weights, load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
@@ -150,7 +149,7 @@ def read_grasp_checkpoint(
         # Older checkpoints lack these keys: they read one point a pad, and a box as wide as swept.
         sizes = {"points_per_pad": 1, "narrowest": 0.0, **config["sweep"]}
         sweep = HandSweep(robot, SweepConfig(**{**sizes, "grid": tuple(sizes["grid"])}))
-        network.load_state_dict(_part(checkpoint, "network"))
+        network.load_state_dict(float_weights(checkpoint, "network."))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(
             f"does not fit its config.json ({str(error).splitlines()[0]})", where=where
@@ -335,17 +334,8 @@ def _encoder(checkpoint: Checkpoint, override: Path | str | None) -> ShapeModel:
         return load_model(encoder_path(checkpoint, override))
     config = checkpoint.config["encoder"]
     model = build_model(config["architecture"], config["model"])
-    missing, unexpected = model.load_state_dict(_part(checkpoint, "encoder"), strict=False)
+    missing, unexpected = model.load_state_dict(float_weights(checkpoint, "encoder."), strict=False)
     parts = tuple(f"{part}." for part in model.encoder_parts)
     if unexpected or any(name.startswith(parts) for name in missing):
         raise InputError("holds no complete encoder", where=checkpoint.path)
     return model.requires_grad_(False).eval()
-
-
-def _part(checkpoint: Checkpoint, prefix: str) -> dict[str, Tensor]:
-    start = f"{prefix}."
-    return {
-        name.removeprefix(start): tensor.to(torch.float32) if tensor.is_floating_point() else tensor
-        for name, tensor in checkpoint.weights.items()
-        if name.startswith(start)
-    }

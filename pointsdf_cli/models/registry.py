@@ -83,11 +83,7 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
     config = checkpoint.config
     try:
         model = build_model(str(config.get("architecture")), config.get("model"))
-        weights = {
-            name: tensor.float() if tensor.is_floating_point() else tensor
-            for name, tensor in checkpoint.weights.items()
-        }
-        model.load_state_dict(weights)
+        model.load_state_dict(float_weights(checkpoint))
     except InputError as error:
         raise InputError.of(error, checkpoint.path) from error
     except RuntimeError as error:
@@ -96,3 +92,12 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
         raise InputError(what, where=checkpoint.path) from error
     model.requires_grad_(False)
     return model.eval()
+
+
+def float_weights(checkpoint: Checkpoint, prefix: str = "") -> dict[str, torch.Tensor]:
+    """A checkpoint's tensors by what follows `prefix` in their names; numbers in float32."""
+    return {
+        name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
+        for name, tensor in checkpoint.weights.items()
+        if name.startswith(prefix)
+    }
