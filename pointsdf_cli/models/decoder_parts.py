@@ -18,11 +18,11 @@ class LocalFeatures(nn.Module):
     A f_j − B c_j is one table per cloud, made at encoding; a query only gathers rows of it.
     """
 
-    def __init__(self, channels: int, width: int, dimensions: int, radius: float) -> None:
+    def __init__(self, channels: int, width: int, radius: float) -> None:
         super().__init__()
         self.inverse_radius = 1.0 / radius
         self.from_features = Linear(channels, width)
-        self.from_offset = Linear(dimensions, width, bias=False)
+        self.from_offset = Linear(3, width, bias=False)
         self.score = Linear(width, HEADS)
         self.out = Linear(HEADS * width, width)
 

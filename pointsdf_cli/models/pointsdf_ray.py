@@ -125,9 +125,9 @@ class PointSDFRay(ShapeModel):
             nn.LayerNorm(self.embedding_size),
             nn.ReLU(),
         )
-        self.local_fine = LocalFeatures(channels[0], local, dimensions=3, radius=0.1)
-        self.local_coarse = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
-        self.local_image = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
+        self.local_fine = LocalFeatures(channels[0], local, radius=0.1)
+        self.local_coarse = LocalFeatures(channels[1], local, radius=0.2)
+        self.local_image = LocalFeatures(channels[1], local, radius=0.2)
         self.enter = Linear(self._input_size(), width)
         self.embed_first = Linear(self.embedding_size, width)
         self.embed_middle = Linear(self.embedding_size, width)

@@ -98,7 +98,6 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     """
     folder = Path(folder)
     kinematics = Kinematics(robot)
-    names: list[str] = []
     kept: list[Path] = []
     held_out: dict[str, bool] = {}
     rows = []
@@ -133,10 +132,10 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
             )
         )
         scenes += int(scene.max()) + 1
-        names.append(file.relative_to(folder).with_suffix("").as_posix())
         kept.append(file)
     if not rows:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
+    names = [file.relative_to(folder).with_suffix("").as_posix() for file in kept]
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
     return GraspData(names, kept, list(held_out), np.array(list(held_out.values())), *joined)
 
