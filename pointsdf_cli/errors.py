@@ -6,6 +6,8 @@ place that catches these; it prints the message and leaves with `exit_code`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 
 
@@ -57,11 +59,26 @@ class InputError(RgraspError):
 
     exit_code = 2
 
-    @classmethod
-    def of(cls, error: RgraspError, where: object | None = None) -> InputError:
-        """An input error with the message of another error, about `where` unless that is None."""
-        place = error.where if where is None else where
-        return cls(error.what, where=place, allowed=error.allowed, hint=error.hint)
+
+@contextmanager
+def as_input_error(
+    where: object | None = None, kind: type[RgraspError] = InputError, or_named: bool = False
+) -> Iterator[None]:
+    """Raise an error of a block as an input error with the same message.
+
+    Args:
+        where: The place that it is about; None keeps the one that the error names.
+        kind: Type of the error; others pass as they are.
+        or_named: Keep the place that the error names, if it names one.
+
+    Raises:
+        InputError: The block raised an error of this kind.
+    """
+    try:
+        yield
+    except kind as error:
+        place = error.where if where is None or (or_named and error.where) else where
+        raise InputError(error.what, where=place, allowed=error.allowed, hint=error.hint) from error
 
 
 def require_near(

@@ -20,7 +20,7 @@ from pointsdf_cli.camera.charuco import (
 from pointsdf_cli.camera.hand_eye import FEWEST_IMAGES, HandEye, calibrate_hand_eye
 from pointsdf_cli.camera.intrinsics import read_lens
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.io.board_images import list_images, match_poses, read_grey
 from pointsdf_cli.io.robot_poses import read_robot_poses
 
@@ -83,7 +83,7 @@ def calibrate_from_files(
     camera, views, lost = _find_boards(paths, intrinsics, board, on_image)
     if camera is None or len(views) < FEWEST_IMAGES:
         raise _too_few(folder, [paths[i].name for i in views], len(paths), board, lost)
-    try:
+    with as_input_error(robot_poses, or_named=True):
         solved = calibrate_hand_eye(
             given.T_base_gripper[[order[i] for i in views]],
             list(views.values()),
@@ -91,8 +91,6 @@ def calibrate_from_files(
             camera,
             eye_in_hand,
         )
-    except InputError as error:
-        raise InputError.of(error, error.where or robot_poses) from error
     return Calibration(
         solved,
         [paths[i].name for i in views],

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.untrusted import read_json, read_yaml
 
@@ -97,10 +97,8 @@ def _read(
     if not np.isfinite([fx, fy, cx, cy]).all():
         raise InputError("fx, fy and the principal point are not finite", where=path, allowed=FORMS)
     width, height = width or max(1, round(2 * cx)), height or max(1, round(2 * cy))
-    try:
+    with as_input_error(path):
         camera = Camera(width, height, fx, fy, cx, cy)
-    except InputError as error:
-        raise InputError.of(error, path) from error
     if not (0 <= cx < width and 0 <= cy < height):
         raise InputError(
             f"has its principal point ({cx:g}, {cy:g}) outside the image of {width} × {height}",

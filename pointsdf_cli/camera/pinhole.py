@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.io.untrusted import read_json
 
 LARGEST_IMAGE = 8192
@@ -126,7 +126,5 @@ def load_camera(name: str) -> Camera:
         raise InputError(
             "K has skew or is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", where=path, allowed=form
         )
-    try:
+    with as_input_error(path):
         return Camera(width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
-    except InputError as error:
-        raise InputError.of(error, path) from error

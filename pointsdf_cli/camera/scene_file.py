@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.intrinsics import read_intrinsics
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rigid
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, Cloud, read_cloud
@@ -222,10 +222,8 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
     height, width = depth.shape
     camera = read_intrinsics(options.intrinsics, width, height)
     colours = None if options.colour is None else read_colour(options.colour)
-    try:
+    with as_input_error(path, or_named=True):
         cloud = cloud_of_depth(depth, camera, T_world_camera, colours, options.near, options.far)
-    except InputError as error:
-        raise InputError.of(error, error.where or path) from error
     if options.mask is None:
         return cloud
     mask = read_mask(options.mask, (height, width))

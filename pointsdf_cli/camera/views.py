@@ -16,7 +16,7 @@ from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image, dep
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
 from pointsdf_cli.camera.sensor import DepthSensor
 from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import random_rotation, transform
 from pointsdf_cli.io.batch import task_seed
@@ -125,10 +125,8 @@ def render_file(task: ViewTask) -> ViewSummary | None:
             )
         return None
     mesh = load_mesh(task.mesh, task.config.unit)
-    try:
+    with as_input_error(task.mesh):
         views, redrawn = render_views(mesh, task.config, task_seed(task.seed, task.name))
-    except InputError as error:
-        raise InputError.of(error, task.mesh) from error
     write_views(task.out, replace(views, mesh_file=task.mesh.name), seed=task.seed, config=config)
     return ViewSummary(len(views.cloud), redrawn, mesh.repair)
 

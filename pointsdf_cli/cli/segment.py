@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli.cli import common
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 
 
 def segment(
@@ -73,10 +73,8 @@ def segment(
     from pointsdf_cli.planning.list_objects import list_objects
     from pointsdf_cli.planning.object_choice import NoObjectError
 
-    try:
+    with as_input_error(kind=NoObjectError):
         listing = list_objects(scene, files, camera_pose, corners, robot, not no_clean, start)
-    except NoObjectError as error:
-        raise InputError.of(error) from error
     reporter.say(*listing.notes)
     from pointsdf_cli.service.objects_picture import draw_labels, draw_numbers
 

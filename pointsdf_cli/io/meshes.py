@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.choices import Unit, require_choice
-from pointsdf_cli.errors import InputError, require_near
-from pointsdf_cli.geometry.repair import ClosedMesh, close_mesh
+from pointsdf_cli.errors import InputError, as_input_error, require_near
+from pointsdf_cli.geometry.repair import close_mesh
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.input_files import is_hidden, largest_input, read_input, require_suffix
 from pointsdf_cli.io.provenance import file_sha256
@@ -176,7 +176,8 @@ def closed_body(
     if not len(faces):
         raise InputError("holds no faces", where=where, allowed="a triangle mesh")
     _check_extent(vertices, faces, 1.0, where)
-    closed = _closed_mesh(vertices, np.asarray(faces, dtype=np.int64), where)
+    with as_input_error(where):
+        closed = close_mesh(vertices, np.asarray(faces, dtype=np.int64))
     return closed.vertices, closed.faces
 
 
@@ -206,17 +207,9 @@ def _surface(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _closed(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> LoadedMesh:
-    closed = _closed_mesh(vertices, faces, path)
+    with as_input_error(path):
+        closed = close_mesh(vertices, faces)
     return LoadedMesh(path.stem, closed.vertices, closed.faces, file_sha256(path), closed.repair)
-
-
-def _closed_mesh(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], where: object
-) -> ClosedMesh:
-    try:
-        return close_mesh(vertices, faces)
-    except InputError as error:
-        raise InputError.of(error, where) from error
 
 
 def read_triangles(path: Path | str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from pointsdf_cli.assets import asset_path
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint
 from pointsdf_cli.models.pointsdf import PointSDF
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
@@ -82,10 +82,9 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
     """Rebuild the model of a checkpoint, in float32 and evaluation mode."""
     config = checkpoint.config
     try:
-        model = build_model(str(config.get("architecture")), config.get("model"))
-        model.load_state_dict(float_weights(checkpoint))
-    except InputError as error:
-        raise InputError.of(error, checkpoint.path) from error
+        with as_input_error(checkpoint.path):
+            model = build_model(str(config.get("architecture")), config.get("model"))
+            model.load_state_dict(float_weights(checkpoint))
     except RuntimeError as error:
         first = str(error).strip().splitlines()[1:2] or [str(error)]
         what = f"weights do not fit the architecture in config.json: {first[0].strip()}"

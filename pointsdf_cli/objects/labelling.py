@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.sdf_sampling import SamplingConfig, sample_sdf
 from pointsdf_cli.io.batch import task_seed
 from pointsdf_cli.io.hdf5 import OptionsDifferError, artifacts_below, is_complete, open_hdf5
@@ -109,12 +109,10 @@ def label_file(task: LabelTask) -> LabelSummary | None:
             hint="render it again: rgrasp render --meshes MESHES --out VIEWS --force "
             f"--pattern '{task.mesh.name}'",
         )
-    try:
+    with as_input_error(task.mesh):
         samples = sample_sdf(
             mesh.vertices, mesh.faces, task.config, task_seed(task.seed, task.name)
         )
-    except InputError as error:
-        raise InputError.of(error, task.mesh) from error
     write_labels(
         task.out,
         Labels(samples.points, samples.sdf, task.mesh.name, mesh.sha256),

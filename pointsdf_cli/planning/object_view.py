@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions, is_depth_image, masked, read_view
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud
@@ -140,10 +140,8 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
     from pointsdf_cli.planning.table_top import bare_object
 
     alone = masked(view)
-    try:
+    with as_input_error(name):
         points, T_frame_camera = alone.in_camera_frame()
-    except InputError as error:
-        raise InputError.of(error, name) from error
     seen, note, around = None, "", None
     if view.mask is None:  # what a mask takes in by mistake may be far away
         check_object_cloud(alone, name)
@@ -239,10 +237,8 @@ def segmented_view(
     around = workspace_of(workspace)
     described = load_robot(robot)
     q = start_configuration(start, described)
-    try:
+    with as_input_error(kind=NoObjectError):
         given = read_scene([path], [] if pose is None else [pose], [files], target, around, cleaned)
-    except NoObjectError as error:
-        raise InputError.of(error) from error
     cut = segmented_cloud(given.clouds[0], str(path), described, given.target, around, cleaned, q)
     return replace(cut, said=(*given.notes, *cut.said))
 
@@ -268,7 +264,7 @@ def segmented_cloud(
 
     require_pose(cloud, name)
     require_table_at_zero([in_world(cloud)], [name], "--segment none")
-    try:
+    with as_input_error(kind=NoObjectError):
         found = look_at_table(
             [cloud],
             [name],
@@ -278,8 +274,6 @@ def segmented_cloud(
             workspace=workspace,
             cleaned=cleaned,
         )
-    except NoObjectError as error:
-        raise InputError.of(error) from error
     view = found.views[0]
     return ObjectView(
         view.points, cloud.in_camera_frame()[1], cloud.frame, found.report, False, view.evidence

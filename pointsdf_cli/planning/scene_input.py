@@ -13,7 +13,7 @@ from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, maske
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.camera.table_objects import VOXEL
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
@@ -176,12 +176,10 @@ def stand_on_table(
             where="--target",
             allowed="an object's number, or a pixel U,V",
         )
-    try:
+    with as_input_error(name):
         points, _ = check_scene_cloud(cloud, name).in_camera_frame()
         cloud = replace(cloud, points=points, frame="camera", T_world_camera=None)
         plane = find_support_plane(points)
-    except InputError as error:
-        raise InputError.of(error, name) from error
     above = pose_over_plane(plane)
     cloud = replace(cloud, T_world_camera=above, over_table=True)
     try:

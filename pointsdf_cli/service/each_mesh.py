@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import as_input_error
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.each_file import is_done
@@ -94,10 +94,8 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
 
     use_threads(task.threads)
     resident = loaded(PlannerFiles(checkpoint=settings.checkpoint), settings.device)
-    try:
+    with as_input_error(kind=EmptySurfaceError):  # one cloud's fault, not the stage's end
         completed = resident.mesh(seen, settings.choices, str(task.cloud))
-    except EmptySurfaceError as error:  # one cloud's fault, not the stage's end
-        raise InputError.of(error) from error
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
     summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)

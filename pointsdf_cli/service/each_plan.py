@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import as_input_error
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import SCHEMA, VERSION, read_plan, write_plan
 from pointsdf_cli.io.provenance import file_sha256
@@ -95,11 +95,9 @@ def plan_scene(task: PlanTask) -> PlanSummary | None:
     if there and drawn:
         return None
     settings = task.settings
-    try:
+    with as_input_error(kind=NoObjectError):  # one scene's mistake, not the stage's end
         poses = [] if task.pose is None else [task.pose]
         request, _ = settings.read([task.cloud], poses, [task.files])
-    except NoObjectError as error:  # one scene's mistake, not the stage's end
-        raise InputError.of(error) from error
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.service.resident import loaded

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 from pointsdf_cli.io.meshes import LoadedMesh
@@ -63,10 +63,8 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None, fine: bool = Fal
     moments, axes = np.linalg.eigh(np.asarray(solid.moment_inertia))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    try:
+    with as_input_error(mesh.name):
         poses = stable_poses(mesh.vertices, centre)
-    except InputError as error:
-        raise InputError.of(error, mesh.name) from error
     pieces = quick_pieces(mesh.vertices, mesh.faces) if fine else convex_pieces(mesh, cache)
     # Bounded below: contact solvers fail at moments near 0, as flat objects have about one axis.
     moments = np.maximum(moments, 1e-6)
