@@ -152,16 +152,9 @@ def write_grasps(
 ) -> None:
     """Write all attempts with one object as one HDF5 file."""
     names = {"joint_names": list(meta.joint_names), "preshape_joints": list(meta.preshape_joints)}
-    write_artifact(
-        path,
-        schema=SCHEMA,
-        version=VERSION,
-        layout=LAYOUT | EVIDENCE,
-        arrays=vars(grasps) | evidence_arrays(grasps.evidence, len(grasps)),
-        attributes=vars(meta) | names | {"kinds": list(KINDS), "causes": list(CAUSES)},
-        seed=seed,
-        config=config,
-    )
+    arrays = vars(grasps) | evidence_arrays(grasps.evidence, len(grasps))
+    attributes = vars(meta) | names | {"kinds": list(KINDS), "causes": list(CAUSES)}
+    write_artifact(path, SCHEMA, VERSION, LAYOUT | EVIDENCE, arrays, attributes, seed, config)
 
 
 def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:

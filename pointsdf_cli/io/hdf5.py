@@ -74,7 +74,6 @@ class Artifact:
 
 def write_artifact(
     path: Path | str,
-    *,
     schema: str,
     version: int,
     layout: Layout,

@@ -41,16 +41,8 @@ def write_labels(
     path: Path | str, labels: Labels, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write `labels` as one HDF5 file."""
-    write_artifact(
-        path,
-        schema=SCHEMA,
-        version=VERSION,
-        layout=LAYOUT,
-        arrays=vars(labels),
-        attributes={"mesh_file": labels.mesh_file, "mesh_hash": labels.mesh_hash},
-        seed=seed,
-        config=config,
-    )
+    attributes = {"mesh_file": labels.mesh_file, "mesh_hash": labels.mesh_hash}
+    write_artifact(path, SCHEMA, VERSION, LAYOUT, vars(labels), attributes, seed, config)
 
 
 def read_labels(path: Path | str) -> Labels:

@@ -49,6 +49,11 @@ FACTS: dict[str, type] = {
     "success_probability": float, "objective": float, "seeds_tried": int,
 }  # fmt: skip
 """Attributes, with their types."""
+TOLD = (
+    *("status", "reason", "sentence", "kind", "joint_names", "q", "T_world_palm"),
+    *("success_probability", "objective", "seeds_tried", "timings", "trajectory", "times", "lift"),
+)
+"""Fields of a plan that are told as they are in JSON."""
 OK, NO_PLAN = "ok", "no_plan"
 SLACKS = ("object", "table", "obstacles", "self")
 
@@ -174,26 +179,18 @@ def write_plan(
     path: Path | str, plan: Plan, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write a plan as one HDF5 file."""
-    write_artifact(
-        path,
-        schema=SCHEMA,
-        version=VERSION,
-        layout=LAYOUT | OPTIONAL,
-        arrays={
-            **vars(plan),
-            **{f"rejected_{name}": value for name, value in vars(plan.rejected).items()},
-            **{f"accepted_{name}": value for name, value in vars(plan.accepted).items()},
-            "rejected_reason": plan.rejected.reasons,
-            "accepted_kind": plan.accepted.kinds,
-        },
-        attributes={
-            **{name: getattr(plan, name) for name in FACTS},
-            "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
-            "rejected_slack_columns": ",".join(SLACKS),
-        },
-        seed=seed,
-        config=config,
-    )
+    arrays = {
+        **vars(plan),
+        **{f"rejected_{name}": value for name, value in vars(plan.rejected).items()},
+        **{f"accepted_{name}": value for name, value in vars(plan.accepted).items()},
+        "rejected_reason": plan.rejected.reasons,
+        "accepted_kind": plan.accepted.kinds,
+    }
+    attributes = {name: getattr(plan, name) for name in FACTS} | {
+        "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
+        "rejected_slack_columns": ",".join(SLACKS),
+    }
+    write_artifact(path, SCHEMA, VERSION, LAYOUT | OPTIONAL, arrays, attributes, seed, config)
 
 
 def read_plan(path: Path | str) -> Plan:
@@ -220,25 +217,12 @@ def read_plan(path: Path | str) -> Plan:
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:
     """The plan in plain types, as `--json` prints it; missing values are null."""
-    found = plan.status == OK
     rejected, accepted = plan.rejected, plan.accepted
     clearances = _rows(object=plan.link_clearance_object, table=plan.link_clearance_table)
     told: dict[str, Any] = plain(
         {
-            "status": plan.status,
-            "reason": plan.reason,
-            "sentence": plan.sentence,
-            "kind": plan.kind,
-            "joint_names": plan.joint_names,
-            "q": plan.q if found else None,
-            "T_world_palm": plan.T_world_palm if found else None,
-            "success_probability": plan.success_probability,
-            "objective": plan.objective,
-            "seeds_tried": plan.seeds_tried,
-            "timings": plan.timings,
-            "trajectory": plan.trajectory,
-            "times": plan.times,
-            "lift": plan.lift,
+            **{name: getattr(plan, name) for name in TOLD},
+            **({} if plan.status == OK else {"q": None, "T_world_palm": None}),
             "link_clearance": dict(zip(plan.link_names, clearances, strict=True)),
             "accepted": _rows(
                 kind=accepted.kinds,

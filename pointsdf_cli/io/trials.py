@@ -157,16 +157,9 @@ def write_trial(
     path: Path | str, row: TrialRow, evidence: Evidence, config: Mapping[str, Any]
 ) -> None:
     """Write one trial as a whole."""
-    write_artifact(
-        path,
-        schema=TRIAL_SCHEMA,
-        version=TRIAL_VERSION,
-        layout=TRIAL_LAYOUT,
-        arrays=vars(evidence),
-        attributes={"row_json": json.dumps(asdict(row))},
-        seed=row.seed,
-        config=config,
-    )
+    arrays, attributes = vars(evidence), {"row_json": json.dumps(asdict(row))}
+    form = (TRIAL_SCHEMA, TRIAL_VERSION, TRIAL_LAYOUT)
+    write_artifact(path, *form, arrays, attributes, row.seed, config)
 
 
 def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
@@ -220,10 +213,7 @@ def write_trials(
     if not rows:
         raise InputError("there are no trials", where=path)
     columns = {name: [getattr(row, name) for row in rows] for name in LAYOUT}
-    write_artifact(
-        path, schema=SCHEMA, version=VERSION, layout=LAYOUT, arrays=columns, seed=seed,
-        config=config,
-    )  # fmt: skip
+    write_artifact(path, SCHEMA, VERSION, LAYOUT, columns, seed=seed, config=config)
 
 
 def read_trials(path: Path | str) -> list[TrialRow]:

@@ -60,16 +60,10 @@ def write_views(
     path: Path | str, views: Views, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write `views` as one HDF5 file."""
-    write_artifact(
-        path,
-        schema=SCHEMA,
-        version=VERSION,
-        layout=LAYOUT | EVIDENCE | ({} if views.depth is None else DEPTH),
-        arrays=vars(views) | evidence_arrays(views.evidence, len(views.cloud)),
-        attributes={name: getattr(views, name) for name in ATTRIBUTES},
-        seed=seed,
-        config=config,
-    )
+    layout = LAYOUT | EVIDENCE | ({} if views.depth is None else DEPTH)
+    arrays = vars(views) | evidence_arrays(views.evidence, len(views.cloud))
+    attributes = {name: getattr(views, name) for name in ATTRIBUTES}
+    write_artifact(path, SCHEMA, VERSION, layout, arrays, attributes, seed, config)
 
 
 def read_views(path: Path | str, with_depth: bool = False) -> Views:
@@ -121,9 +115,8 @@ def read_views_header(path: Path | str) -> ViewsHeader:
     """
     artifact = _read(path, {})
     with attributes_as_input_error(path):
-        return ViewsHeader(
-            str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m"))
-        )
+        digest, unit = artifact.attributes["mesh_hash"], artifact.config.get("unit", "m")
+        return ViewsHeader(str(digest), str(unit))
 
 
 def _read(path: Path | str, names: Layout) -> Artifact:
