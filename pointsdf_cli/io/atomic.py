@@ -173,11 +173,8 @@ def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> P
     if path.exists() and not path.is_file():
         raise InputError("is not an ordinary file, and would be replaced by one", where=path)
     if path.exists() and not force:
-        raise InputError(
-            "exists already, and is not overwritten without --force",
-            where=path,
-            hint="add --force, or choose another name",
-        )
+        what = "exists already, and is not overwritten without --force"
+        raise InputError(what, where=path, hint="add --force, or choose another name")
     return path
 
 

@@ -149,11 +149,8 @@ def require_checkpoint_place(path: Path | str, replace: bool) -> None:
     """
     named, path = path, Path(path).resolve()
     if path == Path.cwd():
-        raise InputError(
-            "is the working directory, which the checkpoint would replace",
-            where="--out",
-            allowed="a directory of its own, such as --out ckpt",
-        )
+        what = "is the working directory, which the checkpoint would replace"
+        raise InputError(what, where="--out", allowed="a directory of its own, such as --out ckpt")
     if path.exists() and not path.is_dir():
         raise InputError("is a file, and a checkpoint is a directory", where=path)
     try:
@@ -239,11 +236,8 @@ def read_config(path: Path | str) -> dict[str, Any]:
     if not isinstance(config, dict) or config.get("schema") != SCHEMA:
         raise InputError("does not describe a checkpoint", where=config_file)
     if config.get("schema_version") != VERSION:
-        raise InputError(
-            f"is of version {config.get('schema_version')}",
-            where=config_file,
-            allowed=f"version {VERSION}",
-        )
+        what = f"is of version {config.get('schema_version')}"
+        raise InputError(what, where=config_file, allowed=f"version {VERSION}")
     return config
 
 
@@ -266,11 +260,8 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
     except (InputError, MemoryError):
         raise
     except Exception as error:  # the unpickler raises whatever the bytes provoke
-        raise InputError(
-            "is damaged, or holds more than plain types and tensors, and is not opened",
-            where=state_file,
-            hint="start again without --resume",
-        ) from error
+        what = "is damaged, or holds more than plain types and tensors, and is not opened"
+        raise InputError(what, where=state_file, hint="start again without --resume") from error
     if not isinstance(state, dict):
         raise InputError("is not a training state", where=state_file)
     return state

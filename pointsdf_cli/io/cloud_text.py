@@ -120,11 +120,8 @@ def _lines(handle: TextIO, path: Path) -> Iterator[str]:
     """
     while line := handle.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
-            raise InputError(
-                f"has a line of more than {_LONGEST_LINE} characters",
-                where=path,
-                allowed="text with x y z in each row",
-            )
+            what = f"has a line of more than {_LONGEST_LINE} characters"
+            raise InputError(what, where=path, allowed="text with x y z in each row")
         yield line
 
 

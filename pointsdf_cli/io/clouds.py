@@ -283,11 +283,8 @@ def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
 def _require_points(points: NDArray[np.float64], seen: str, of: str, where: Any) -> None:
     """Refuse fewer points than `FEWEST_POINTS`, too few to see `seen` in."""
     if len(points) < FEWEST_POINTS:
-        raise InputError(
-            f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see {seen} in",
-            where=where,
-            allowed=f"at least {FEWEST_POINTS} points{of}",
-        )
+        what = f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see {seen} in"
+        raise InputError(what, where=where, allowed=f"at least {FEWEST_POINTS} points{of}")
 
 
 def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputError:

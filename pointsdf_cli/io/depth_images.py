@@ -42,11 +42,8 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
     if values.ndim != 2 or not values.size:
-        raise InputError(
-            f"is of shape {values.shape}, and a depth image has one number a pixel",
-            where=path,
-            allowed="[height, width]",
-        )
+        what = f"is of shape {values.shape}, and a depth image has one number a pixel"
+        raise InputError(what, where=path, allowed="[height, width]")
     if values.dtype == np.uint8 or values.dtype.kind not in "uif":
         raise InputError(
             f"holds {values.dtype} values: a picture of depths, not depths",
@@ -100,11 +97,8 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
     else:
         with open_image(path) as image:
             if image.format == "JPEG":
-                raise InputError(
-                    "is a JPEG, which changes a mask's values",
-                    where=path,
-                    allowed="a mask as PNG, TIFF, BMP or NPY",
-                )
+                what = "is a JPEG, which changes a mask's values"
+                raise InputError(what, where=path, allowed="a mask as PNG, TIFF, BMP or NPY")
             # The numbers of a palette are labels, its colours are not.
             plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"
             values = np.asarray(image if image.mode == plain else image.convert(plain))
@@ -151,11 +145,8 @@ def _require_one_object(values: NDArray[Any], path: Path) -> None:
             hint=f"name the object's number: --mask {path}:{numbers[0]:g}",
         )
     if len(numbers) > LABELS and (values != 0).mean() > PHOTOGRAPH:
-        raise InputError(
-            f"looks like a photograph: {len(numbers)} values, {(values != 0).mean():.0%} not 0",
-            where=path,
-            allowed="a mask: 0 beside the object",
-        )
+        what = f"looks like a photograph: {len(numbers)} values, {(values != 0).mean():.0%} not 0"
+        raise InputError(what, where=path, allowed="a mask: 0 beside the object")
 
 
 def _image(path: Path) -> NDArray:

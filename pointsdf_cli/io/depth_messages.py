@@ -39,11 +39,8 @@ def depth_of_message(message: Any, path: Path, topic: str) -> NDArray[np.float32
 def _raw(message: Any, path: Path, topic: str) -> NDArray[Any]:
     width, height, step = int(message.width), int(message.height), int(message.step)
     if message.encoding not in _ENCODINGS:
-        raise InputError(
-            f"images on {topic} are {message.encoding}, no depths",
-            where=path,
-            allowed=", ".join(_ENCODINGS),
-        )
+        what = f"images on {topic} are {message.encoding}, no depths"
+        raise InputError(what, where=path, allowed=", ".join(_ENCODINGS))
     kind, scale = _ENCODINGS[message.encoding]
     number = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     data = np.ascontiguousarray(message.data)

@@ -169,11 +169,8 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
     grasps = Grasps(**{name: datasets[name] for name in LAYOUT}, evidence=evidence)
     for name, values, known in (("kind", grasps.kind, KINDS), ("cause", grasps.cause, CAUSES)):
         if len(values) and not 0 <= values.min() <= values.max() < len(known):
-            raise InputError(
-                f"{name} runs from {values.min()} to {values.max()}",
-                where=path,
-                allowed=f"0 to {len(known) - 1}: {', '.join(known)}",
-            )
+            what = f"{name} runs from {values.min()} to {values.max()}"
+            raise InputError(what, where=path, allowed=f"0 to {len(known) - 1}: {', '.join(known)}")
     with attributes_as_input_error(path):
         meta = GraspsMeta(
             mesh_file=str(attributes["mesh_file"]),

@@ -281,17 +281,11 @@ def require_schema(path: Path, schema: str) -> None:
 def _named_schema(path: Path, file: h5py.File, schema: str) -> None:
     found = file.attrs.get("schema")
     if found is None:
-        raise InputError(
-            "is HDF5 but no rgrasp artifact (it has no `schema` attribute)",
-            where=path,
-            allowed=f"a {schema} file written by rgrasp",
-        )
+        what = "is HDF5 but no rgrasp artifact (it has no `schema` attribute)"
+        raise InputError(what, where=path, allowed=f"a {schema} file written by rgrasp")
     if str(found) != schema:
-        raise InputError(
-            f"holds {found}, and {schema} is needed",
-            where=path,
-            hint=f"rgrasp info {path} shows what it is",
-        )
+        what = f"holds {found}, and {schema} is needed"
+        raise InputError(what, where=path, hint=f"rgrasp info {path} shows what it is")
 
 
 def _require_schema(

@@ -50,11 +50,8 @@ def _walk(path: Path, root: h5g.GroupID) -> Iterator[tuple[str, h5d.DatasetID | 
         for raw in group:
             name = f"{above}/{raw.decode('utf-8', 'backslashreplace')}".lstrip("/")
             if group.links.get_info(raw).type != h5l.TYPE_HARD:
-                raise InputError(
-                    f"{name} is a link, which may lead to another file, and is not followed",
-                    where=path,
-                    allowed="data that the file holds itself",
-                )
+                what = f"{name} is a link, which may lead to another file, and is not followed"
+                raise InputError(what, where=path, allowed="data that the file holds itself")
             found = h5o.open(group, raw)
             _check_attributes(path, name, found)
             if isinstance(found, h5d.DatasetID):
@@ -74,11 +71,8 @@ def _walk(path: Path, root: h5g.GroupID) -> Iterator[tuple[str, h5d.DatasetID | 
 def _require_stored_here(path: Path, name: str, dataset: h5d.DatasetID) -> None:
     plan = dataset.get_create_plist()
     if plan.get_external_count() or plan.get_layout() == h5d.VIRTUAL:
-        raise InputError(
-            f"the data of {name} lie in another file, which is not opened",
-            where=path,
-            allowed="data that the file holds itself",
-        )
+        what = f"the data of {name} lie in another file, which is not opened"
+        raise InputError(what, where=path, allowed="data that the file holds itself")
 
 
 def _check_attributes(path: Path, name: str, holder: h5o.ObjectID) -> None:

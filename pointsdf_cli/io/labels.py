@@ -55,11 +55,8 @@ def read_labels(path: Path | str) -> Labels:
     if not len(artifact.datasets["sdf"]):
         raise InputError("holds no labels", where=path, hint="make it again: rgrasp label-sdf")
     if not all(np.isfinite(artifact.datasets[name]).all() for name in ("points", "sdf")):
-        raise InputError(
-            "holds labels that are NaN or infinite",
-            where=path,
-            hint="make it again: rgrasp label-sdf --force",
-        )
+        what = "holds labels that are NaN or infinite"
+        raise InputError(what, where=path, hint="make it again: rgrasp label-sdf --force")
     with attributes_as_input_error(path):
         return Labels(
             points=artifact.datasets["points"],

@@ -77,20 +77,14 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
         raise InputError("no such folder", where=folder)
     if folder.is_file():
         if folder.suffix.lower() not in MESH_SUFFIXES:
-            raise InputError(
-                "is not a mesh file",
-                where=folder,
-                allowed="a folder, or " + ", ".join(MESH_SUFFIXES),
-            )
+            what = "is not a mesh file"
+            raise InputError(what, where=folder, allowed="a folder, or " + ", ".join(MESH_SUFFIXES))
         return [folder]
     try:
         matching_files = list(folder.rglob(pattern))
     except (ValueError, NotImplementedError) as error:  # such as a**b, or absolute
-        raise InputError(
-            f"{pattern!r} is not a pattern of names below the folder",
-            where="--pattern",
-            allowed="such as '*.ply'",
-        ) from error
+        what = f"{pattern!r} is not a pattern of names below the folder"
+        raise InputError(what, where="--pattern", allowed="such as '*.ply'") from error
     found = sorted(
         path
         for path in matching_files
@@ -190,11 +184,8 @@ def _check_extent(
         farthest = float(np.abs(used).max()) * scale
         size = float(np.ptp(used, axis=0).max()) * scale
     if not (farthest < FARTHEST and size > NARROWEST):
-        raise InputError(
-            f"is {size:.3g} m across and up to {farthest:.3g} m away, scaled by {scale:g}",
-            where=where,
-            allowed=f"{NARROWEST:g} to {FARTHEST:g} m",
-        )
+        what = f"is {size:.3g} m across and up to {farthest:.3g} m away, scaled by {scale:g}"
+        raise InputError(what, where=where, allowed=f"{NARROWEST:g} to {FARTHEST:g} m")
 
 
 def _surface(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

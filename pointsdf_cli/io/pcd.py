@@ -125,11 +125,8 @@ def _read_header(path: Path) -> _Header:
     except (KeyError, IndexError, ValueError, TypeError) as error:
         raise InputError(f"the PCD header is damaged ({error})", where=path) from error
     if form not in ("ascii", "binary", "binary_compressed") or count < 0:
-        raise InputError(
-            f"unknown PCD data {form!r}, {count} points",
-            where=path,
-            allowed="ascii, binary, binary_compressed",
-        )
+        what = f"unknown PCD data {form!r}, {count} points"
+        raise InputError(what, where=path, allowed="ascii, binary, binary_compressed")
     return _Header(record, count, comments, form, at)
 
 

@@ -157,11 +157,8 @@ def stacked(columns: Any, a: str, b: str, c: str, path: Path) -> NDArray[np.floa
 
 def cut_short(path: Path, promised: int) -> InputError:
     """The error for a file that ends before the points it promises."""
-    return InputError(
-        f"is damaged or cut short: the header promises {promised} points",
-        where=path,
-        hint="copy or export the file again",
-    )
+    what = f"is damaged or cut short: the header promises {promised} points"
+    return InputError(what, where=path, hint="copy or export the file again")
 
 
 def _read_header(path: Path) -> _Header:

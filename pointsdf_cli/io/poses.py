@@ -51,11 +51,8 @@ def camera_pose(
         matrix = transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     if not is_rigid(matrix):
         held = f"{text[:60]} holds " if os.path.exists(text) else ""
-        raise InputError(
-            f"{held}{len(numbers)} numbers, which are not a pose{_not_a_pose(numbers)}",
-            where=option,
-            allowed=ALLOWED,
-        )
+        what = f"{held}{len(numbers)} numbers, which are not a pose{_not_a_pose(numbers)}"
+        raise InputError(what, where=option, allowed=ALLOWED)
     matrix[:3, 3] *= metres
     away = float(np.linalg.norm(matrix[:3, 3]))
     require_near(away, FARTHEST, f"{whose} is", option, "are these millimetres?")

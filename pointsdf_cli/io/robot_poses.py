@@ -59,11 +59,8 @@ def read_robot_poses(path: Path, unit: str = "m") -> RobotPoses:
         pose = _pose(value)
         if pose is None:
             which = f"pose {index}" if names is None else f"the pose of {names[index]}"
-            raise InputError(
-                f"{which} is not a rotation and translation: {str(value)[:80]}",
-                where=path,
-                allowed=FORMS,
-            )
+            what = f"{which} is not a rotation and translation: {str(value)[:80]}"
+            raise InputError(what, where=path, allowed=FORMS)
         pose[:3, 3] *= UNITS[unit]
         poses.append(pose)
     found = np.stack(poses)

@@ -151,11 +151,8 @@ def _check_nodes(root: yaml.Node, path: Path) -> None:
         node = waiting.pop()
         seen += 1
         if seen > MOST_NODES:
-            raise InputError(
-                "holds too much once its aliases are followed",
-                where=path,
-                allowed=f"{MOST_NODES} entries",
-            )
+            what = "holds too much once its aliases are followed"
+            raise InputError(what, where=path, allowed=f"{MOST_NODES} entries")
         if isinstance(node, yaml.MappingNode):
             for pair in node.value:
                 waiting += pair

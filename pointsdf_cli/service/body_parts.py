@@ -80,11 +80,8 @@ class CloudBody(Body):
             raise InputError("focal lengths of K that are not above 0", where=self.name)
         for part in (self.pixels, self.mask):
             if part is not None and len(part) != len(self.points):
-                raise InputError(
-                    f"{len(part)} pixels or mask values for {len(self.points)} points",
-                    where=self.name,
-                    allowed="one for each",
-                )
+                what = f"{len(part)} pixels or mask values for {len(self.points)} points"
+                raise InputError(what, where=self.name, allowed="one for each")
         image = (
             DepthImage(self.depth, self.K)
             if self.depth is not None and self.K is not None

@@ -121,8 +121,5 @@ def _error(answer: httpx.Response, url: str) -> RgraspError:
         }
         return kind(str(told["what"]), **parts)
     except (ValueError, KeyError, TypeError, AttributeError):
-        return RgraspError(
-            f"the server answers with status {answer.status_code}",
-            where=url,
-            hint="is it `rgrasp serve` that listens there?",
-        )
+        what = f"the server answers with status {answer.status_code}"
+        return RgraspError(what, where=url, hint="is it `rgrasp serve` that listens there?")
