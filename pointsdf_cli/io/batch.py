@@ -168,15 +168,8 @@ def _run_parallel(
 ) -> None:
     # Spawned, not forked: h5py handles, embree and torch threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with (
-        one_thread_each(),
-        ProcessPoolExecutor(
-            min(jobs, len(tasks)),
-            mp_context=context,
-            initializer=_start_worker,
-            initargs=(os.getpid(),),
-        ) as pool,
-    ):
+    workers, told = min(jobs, len(tasks)), (os.getpid(),)
+    with one_thread_each(), ProcessPoolExecutor(workers, context, _start_worker, told) as pool:
         try:
             pending: dict[Future[Any], str] = {}
             queue = iter(tasks)

@@ -26,11 +26,8 @@ def list_images(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError("no such folder of images", where=folder)
-    found = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
-    ]
+    images = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    found = [path for path in images if not path.name.startswith(".")]
     if not found:
         raise InputError("holds no images", where=folder, allowed=", ".join(SUFFIXES))
     return sorted(found, key=lambda path: _natural(path.name))

@@ -185,17 +185,16 @@ def read_cloud(
         pose = pose_of_header(raw.comments, path)
         if pose is not None and path.suffix.lower() == ".pcd":
             pose[:3, 3] *= UNITS[unit]  # its header holds the viewpoint in the points' own unit
+    given = T_world_camera is not None
     cloud = Cloud(
         points=raw.points * UNITS[unit],
         normals=unit_normals(raw.normals),
         colours=raw.colours,
         frame=frame or frame_of_header(raw.comments, path),
         T_world_camera=pose,
-        over_table=T_world_camera is None
-        and pose is not None
-        and raw.comments.get(POSE_FROM) == TABLE,
+        over_table=not given and pose is not None and raw.comments.get(POSE_FROM) == TABLE,
     )
-    if path.suffix.lower() == ".pcd" and frame is None and T_world_camera is None:
+    if path.suffix.lower() == ".pcd" and frame is None and not given:
         return _without_false_viewpoint(cloud)
     return cloud
 

@@ -27,11 +27,8 @@ class IdleProcessors:
         """Number of idle processors, at least 1. What this process used counts as idle."""
         time.sleep(max(0.0, self._began + SHORTEST - time.monotonic()))
         after = _ticks(self._mine)
-        spans = [
-            (idle - self._before[cpu][0], total - self._before[cpu][1])
-            for cpu, (idle, total) in after.items()
-            if cpu in self._before
-        ]
+        pairs = [(self._before[cpu], after[cpu]) for cpu in after if cpu in self._before]
+        spans = [(now[0] - then[0], now[1] - then[1]) for then, now in pairs]
         if not spans:  # no /proc: as many as there are
             return len(self._mine)
         longest = max(1, *(total for _, total in spans))

@@ -85,11 +85,8 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
     except (ValueError, NotImplementedError) as error:  # such as a**b, or absolute
         what = f"{pattern!r} is not a pattern of names below the folder"
         raise InputError(what, where="--pattern", allowed="such as '*.ply'") from error
-    found = sorted(
-        path
-        for path in matching_files
-        if path.suffix.lower() in MESH_SUFFIXES and not is_hidden(path, folder)
-    )
+    meshes = [path for path in matching_files if path.suffix.lower() in MESH_SUFFIXES]
+    found = sorted(path for path in meshes if not is_hidden(path, folder))
     if not found:
         matching = "" if pattern == "*" else f" that match {pattern}"
         raise InputError(
@@ -252,14 +249,13 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     except MemoryError:
         raise
     except Exception as error:  # trimesh's readers raise whatever the bytes provoke
+        hint = "other files that it names are not opened: export it as .glb"
         raise InputError(
             f"cannot be read as {kind[1:].upper()}: damaged or cut short "
             f"({type(error).__name__}: {str(error)[:100]})",
             where=path,
             allowed="a triangle mesh: " + ", ".join(MESH_SUFFIXES),
-            hint="other files that it names are not opened: export it as .glb"
-            if kind == ".gltf"
-            else None,
+            hint=hint if kind == ".gltf" else None,
         ) from error
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise InputError("has faces that name vertices it does not hold", where=path)

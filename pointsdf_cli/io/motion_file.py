@@ -59,18 +59,11 @@ def trajectory_as_json(plan: Plan) -> dict[str, Any]:
     for time, positions, speeds in zip(plan.times, plan.trajectory, velocities, strict=True):
         # Rounded once as a whole: a fraction of 0.9999999999 must not become 1e9 nanoseconds.
         nanoseconds = round(float(time) * 1e9)
-        points.append(
-            {
-                "positions": positions.tolist(),
-                "velocities": speeds.tolist(),
-                "time_from_start": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9},
-            }
-        )
-    return {
-        "header": {"frame_id": "world"},
-        "joint_names": list(plan.joint_names),
-        "points": points,
-    }
+        since = {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+        point = {"positions": positions.tolist(), "velocities": speeds.tolist()}
+        points.append(point | {"time_from_start": since})
+    header = {"frame_id": "world"}
+    return {"header": header, "joint_names": list(plan.joint_names), "points": points}
 
 
 def write_trajectory(path: Path | str, plan: Plan) -> None:

@@ -27,14 +27,10 @@ def git_commit() -> str:
     """The checkout's commit, with `-dirty` where it has changes; empty in an installed wheel."""
     if not (_PACKAGE.parent / ".git").exists():
         return ""
+    repository = ["git", "-C", str(_PACKAGE.parent)]
+    describe = [*repository, "describe", "--always", "--dirty", "--abbrev=12"]
     try:
-        answer = subprocess.run(
-            ["git", "-C", str(_PACKAGE.parent), "describe", "--always", "--dirty", "--abbrev=12"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=False,
-        )
+        answer = subprocess.run(describe, capture_output=True, text=True, timeout=5, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return answer.stdout.strip()

@@ -32,11 +32,9 @@ def evidence_arrays(evidence: Sequence[ViewEvidence], count: int) -> dict[str, N
         count: Number of views.
     """
     evidence = evidence or (ViewEvidence(),) * count
-    nothing = VisibilityImage(
-        np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
-    )
+    unknown, empty = np.full(4, np.nan), np.zeros((SIZE, SIZE), np.float32)
+    nothing = VisibilityImage(unknown, empty > 0, empty)
     images = [view.visibility or nothing for view in evidence]
-    unknown = np.full(4, np.nan)
     planes = [unknown if v.support_plane is None else v.support_plane for v in evidence]
     side = (-1, SIZE, SIZE)
     return {
