@@ -49,9 +49,8 @@ class Calibration:
     @property
     def outliers(self) -> list[str]:
         """Names of the images that do not fit and were left out."""
-        return [
-            name for name, used in zip(self.images, self.hand_eye.used, strict=True) if not used
-        ]
+        fitting = zip(self.images, self.hand_eye.used, strict=True)
+        return [name for name, used in fitting if not used]
 
 
 def calibrate_from_files(
@@ -83,14 +82,9 @@ def calibrate_from_files(
     camera, views, lost = _find_boards(paths, intrinsics, board, on_image)
     if camera is None or len(views) < FEWEST_IMAGES:
         raise _too_few(folder, [paths[i].name for i in views], len(paths), board, lost)
+    poses = given.T_base_gripper[[order[i] for i in views]]
     with as_input_error(robot_poses, or_named=True):
-        solved = calibrate_hand_eye(
-            given.T_base_gripper[[order[i] for i in views]],
-            list(views.values()),
-            board.corners,
-            camera,
-            eye_in_hand,
-        )
+        solved = calibrate_hand_eye(poses, list(views.values()), board.corners, camera, eye_in_hand)
     return Calibration(
         solved,
         [paths[i].name for i in views],

@@ -63,12 +63,8 @@ class Cleaning:
 
     def report(self) -> str:
         """One sentence for the user; empty if everything was kept."""
-        named = (
-            (self.flying, "flying pixels"),
-            (self.outliers, "outliers"),
-            (self.specks, "in specks"),
-        )
-        said = ", ".join(f"{count} {name}" for count, name in named if count)
+        named = {"flying pixels": self.flying, "outliers": self.outliers, "in specks": self.specks}
+        said = ", ".join(f"{count} {name}" for name, count in named.items() if count)
         return f"cleaning dropped {self.dropped} of {len(self.kept)} points: {said}" if said else ""
 
 
@@ -191,9 +187,8 @@ def _specks(points: Array, neighbour: NDArray[np.intp], close: Mask, kept: Mask)
             body |= group
     tiny = kept & ~body & ~dropped
     gaps = np.full(len(sizes), np.inf)
-    np.minimum.at(
-        gaps, label[tiny], scipy.spatial.cKDTree(_thinned(points[body])).query(points[tiny])[0]
-    )
+    distance, _ = scipy.spatial.cKDTree(_thinned(points[body])).query(points[tiny])
+    np.minimum.at(gaps, label[tiny], distance)
     dropped |= tiny & (gaps[label] > TINY_GAP)
     # What falls apart so far is no one body with specks around it.
     return dropped if 2 * dropped.sum() < total else np.zeros(count, dtype=bool)

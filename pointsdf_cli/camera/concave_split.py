@@ -88,9 +88,8 @@ def _valley(points: Array, camera: Array, tree: scipy.spatial.cKDTree) -> NDArra
     found = np.isfinite(distance)
     count = found.sum(axis=1)
     starts = np.concatenate([[0], np.cumsum(count)])
-    mean_of = scipy.sparse.csr_array(
-        (np.repeat(1.0 / count, count), neighbour[found], starts), (len(points), len(points))
-    )
+    weights, shape = np.repeat(1.0 / count, count), (len(points), len(points))
+    mean_of = scipy.sparse.csr_array((weights, neighbour[found], starts), shape)
     local = points - points.mean(axis=0)  # squares of large coordinates would cancel
     squares = (local[:, :, None] * local[:, None]).reshape(-1, 9)
     centre, moments = np.split(mean_of @ np.hstack([local, squares]), [3], axis=1)

@@ -12,7 +12,7 @@ that do not fit (a pose of another moment, a board that slipped) are found and l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -123,18 +123,16 @@ def calibrate_hand_eye(
         )
     alone = np.stack([board_pose(view, corners, camera) for view in views])
     fixed_moving = T_base_gripper if eye_in_hand else invert_transform(T_base_gripper)
-    seen = _Observations(
-        fixed_moving, camera, [corners[view.ids] for view in views], [v.pixels for v in views]
-    )
+    on_board, pixels = [corners[view.ids] for view in views], [view.pixels for view in views]
+    seen = _Observations(fixed_moving, camera, on_board, pixels)
     poses, used = _fit(seen, alone)
     rms = seen.rms(poses)
     if np.median(rms) > LARGEST_ERROR or used.sum() < FEWEST_IMAGES:
         raise _does_not_fit(seen, alone, float(np.median(rms)), int(used.sum()))
     position, rotation = _standard_deviations(seen, poses, np.flatnonzero(used).tolist())
     placed = invert_transform(fixed_moving @ poses.X) @ poses.Z
-    refined = np.stack(
-        [board_pose(v, corners, camera, T) for v, T in zip(views, placed, strict=True)]
-    )
+    starts = zip(views, placed, strict=True)
+    refined = np.stack([board_pose(view, corners, camera, T) for view, T in starts])
     middle = corners.mean(axis=0)[None]
     apart = apply_transform(placed, middle) - apply_transform(refined, middle)
     turned = rotation_vector(np.swapaxes(placed[:, :3, :3], -1, -2) @ refined[:, :3, :3])
@@ -171,9 +169,8 @@ def board_pose(
         turn = scipy.spatial.transform.Rotation.from_matrix(start[:3, :3]).as_rotvec()[:, None]
         shift = start[:3, 3:].copy()
     turn, shift = cv2.solvePnPRefineLM(points, pixels, camera.K, None, turn, shift)
-    return transform(
-        scipy.spatial.transform.Rotation.from_rotvec(np.ravel(turn)).as_matrix(), np.ravel(shift)
-    )
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(np.ravel(turn)).as_matrix()
+    return transform(rotation, np.ravel(shift))
 
 
 def _fit(seen: _Observations, alone: Array) -> tuple[HandEyePoses, NDArray[np.bool_]]:
@@ -214,17 +211,14 @@ def _refine(seen: _Observations, poses: HandEyePoses, images: Sequence[int]) -> 
     def residuals(change: Array) -> Array:
         return np.concatenate(seen.errors(_moved(poses, change), images)).ravel()
 
-    return _moved(
-        poses, scipy.optimize.least_squares(residuals, np.zeros(12), x_scale=0.1, loss="soft_l1").x
-    )
+    solved = scipy.optimize.least_squares(residuals, np.zeros(12), x_scale=0.1, loss="soft_l1")
+    return _moved(poses, solved.x)
 
 
 def _moved(poses: HandEyePoses, change: Array) -> HandEyePoses:
     """X and Z after small rotations (rotation vectors) and translations [m] in their own frames."""
-    small = transform(
-        scipy.spatial.transform.Rotation.from_rotvec(change.reshape(2, 6)[:, :3]).as_matrix(),
-        change.reshape(2, 6)[:, 3:],
-    )
+    turn, shift = np.hsplit(change.reshape(2, 6), [3])
+    small = transform(scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix(), shift)
     return HandEyePoses(poses.X @ small[0], poses.Z @ small[1])
 
 
@@ -240,11 +234,9 @@ def _standard_deviations(
     information, scatter = np.zeros((12, 12)), np.zeros((12, 12))
     step = 1e-6
     for i in images:
-        columns = [
-            (residuals(step * axis, i) - residuals(-step * axis, i)) / (2 * step)
-            for axis in np.eye(12)
-        ]
-        jacobian = np.stack(columns, axis=1)
+        ways = step * np.eye(12)
+        differences = [residuals(way, i) - residuals(-way, i) for way in ways]
+        jacobian = np.stack(differences, axis=1) / (2 * step)
         gradient = jacobian.T @ residuals(np.zeros(12), i)
         information += jacobian.T @ jacobian
         scatter += np.outer(gradient, gradient)
@@ -257,9 +249,7 @@ def _standard_deviations(
 
 def _does_not_fit(seen: _Observations, alone: Array, error: float, fitting: int) -> InputError:
     """Message for poses that do not belong to the images, with the matching pairing, if any."""
-    inverted = _Observations(
-        invert_transform(seen.T_fixed_moving), seen.camera, seen.corners, seen.pixels
-    )
+    inverted = replace(seen, T_fixed_moving=invert_transform(seen.T_fixed_moving))
     other = float(np.median(inverted.rms(_start(inverted, alone))))
     if other < min(LARGEST_ERROR, 0.2 * error):
         hint = (

@@ -119,12 +119,8 @@ class MeshCaster:
         left, top = np.clip(low, 0, [width - 1, height - 1]).astype(int).tolist()
         right, bottom = np.clip(high, 1, [width, height]).astype(int).tolist()
         more = round(margin * max(right - left, bottom - top))
-        return (
-            max(0, left - more),
-            min(width, right + more),
-            max(0, top - more),
-            min(height, bottom + more),
-        )
+        left, top = max(0, left - more), max(0, top - more)
+        return left, min(width, right + more), top, min(height, bottom + more)
 
     def _cast(
         self, T_camera_object: NDArray[np.float64], window: tuple[int, int, int, int]

@@ -98,9 +98,8 @@ def options_of_views(
             raise InputError(
                 f"{len(given)} for {count} views", where=option, allowed="one for each, in order"
             )
-    return [
-        SceneFileOptions(intrinsics=k, mask=m, **same) for k, m in zip(cameras, on, strict=True)
-    ]
+    pairs = zip(cameras, on, strict=True)
+    return [SceneFileOptions(intrinsics=camera, mask=mask, **same) for camera, mask in pairs]
 
 
 def is_depth_image(path: Path, intrinsics: str | None) -> bool:
@@ -168,9 +167,8 @@ def read_depth_image(
         InputError: A file cannot be read, or the pose is not rigid.
     """
     pose = None if T_world_camera is None else rigid(T_world_camera, "T_world_camera")
-    options = SceneFileOptions(
-        str(intrinsics), depth_scale, near, far, mask=None if mask is None else str(mask)
-    )
+    mask_name = None if mask is None else str(mask)
+    options = SceneFileOptions(str(intrinsics), depth_scale, near, far, mask=mask_name)
     return _read_depth_view(Path(path), options, pose)
 
 

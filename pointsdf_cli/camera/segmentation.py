@@ -38,11 +38,8 @@ class SegmentationConfig:
 
     def __post_init__(self) -> None:
         corners = np.array([self.low, self.high])
-        if (
-            corners.shape != (2, 3)
-            or not np.isfinite(corners).all()
-            or (corners[0] >= corners[1]).any()
-        ):
+        finite = corners.shape == (2, 3) and np.isfinite(corners).all()
+        if not finite or (corners[0] >= corners[1]).any():
             what = f"a workspace from {self.low} to {self.high}"
             raise InputError(what, allowed="two corners of finite numbers [m], the lower one first")
 

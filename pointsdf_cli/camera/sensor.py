@@ -144,13 +144,12 @@ class DepthSensor:
 
     def deviation(self, depth: float) -> float:
         """σ [m] of the white noise of a surface seen face on at `depth` [m]."""
-        parts = [
-            self.noise.sigma * (depth / REFERENCE_DEPTH) ** 2,
-            self.axial_floor + self.axial_depth * (depth - 0.4) ** 2,
-        ]
-        if self.disparity_noise:
-            parts.append(self.disparity_noise * depth**2 / (self.focal * self.baseline))
-        return math.hypot(*parts)
+        gaussian = self.noise.sigma * (depth / REFERENCE_DEPTH) ** 2
+        axial = self.axial_floor + self.axial_depth * (depth - 0.4) ** 2
+        if not self.disparity_noise:
+            return math.hypot(gaussian, axial)
+        disparity = self.disparity_noise * depth**2 / (self.focal * self.baseline)
+        return math.hypot(gaussian, axial, disparity)
 
     def as_dict(self) -> dict[str, Any]:
         """All parameters, for `config_json`."""
@@ -241,12 +240,8 @@ class DepthSensor:
         rng: np.random.Generator,
     ) -> NDArray[np.bool_]:
         """Pixels without a return, by distance from a depth edge and by incidence."""
-        limits = effects.missing_limits(
-            self.missing_at_edge,
-            self.missing_reach * scale,
-            self.missing_grazing,
-            self.missing_angle,
-        )
+        at_edge = self.missing_at_edge, self.missing_reach * scale
+        limits = effects.missing_limits(*at_edge, self.missing_grazing, self.missing_angle)
         distance = effects.edge_distance(edges, len(limits) - 1).astype(np.int32)
         distance *= np.int32(limits.shape[1])
         distance += incidence

@@ -179,9 +179,8 @@ def _main_region(level: Array, flat: NDArray[np.bool_], cell: float):  # type: i
     weight = np.bincount(label.ravel(), weights=grid.ravel())
     weight[0] = 0
     # Fill the parts of the table that objects hide.
-    main = ndimage.binary_fill_holes(
-        ndimage.binary_closing(label == weight.argmax(), iterations=3) | (label == weight.argmax())
-    )
+    largest = label == weight.argmax()
+    main = ndimage.binary_fill_holes(ndimage.binary_closing(largest, iterations=3) | largest)
 
     def inside(places: Array) -> NDArray[np.bool_]:
         at = np.floor((places - low) / cell).astype(np.int64) + 1

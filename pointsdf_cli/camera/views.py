@@ -189,9 +189,8 @@ def _scene_views(
 ) -> tuple[Views, int]:
     drawer = SceneViews(mesh, config.camera, scene)
     drawn = [drawer.draw(rng) for _ in range(config.views)]
-    clouds = [
-        view.points[systematic_sample(view.points[:, :2], CLOUD_SIZE, rng)] for view, _ in drawn
-    ]
+    seen = [view.points for view, _ in drawn]
+    clouds = [points[systematic_sample(points[:, :2], CLOUD_SIZE, rng)] for points in seen]
     views = Views(
         cloud=np.stack(clouds).astype(np.float32),
         T_camera_object=np.stack([view.T_camera_object for view, _ in drawn]),
