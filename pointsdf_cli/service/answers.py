@@ -39,15 +39,9 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
         view = bare_cloud(given.cloud(), given.name, body.clean)
     else:
         robot = resident.robot
-        view = segmented_cloud(
-            given.cloud(),
-            given.name,
-            robot,
-            body.wanted(),
-            workspace_of(body.corners()),
-            body.clean,
-            start_configuration(body.start, robot),
-        )
+        cloud, wanted, corners = given.cloud(), body.wanted(), workspace_of(body.corners())
+        q = start_configuration(body.start, robot)
+        view = segmented_cloud(cloud, given.name, robot, wanted, corners, body.clean, q)
     completed = resident.mesh(view, body.choices(), given.name)
     made = completed.mesh
     answer = {

@@ -82,11 +82,9 @@ class CloudBody(Body):
             if part is not None and len(part) != len(self.points):
                 what = f"{len(part)} pixels or mask values for {len(self.points)} points"
                 raise InputError(what, where=self.name, allowed="one for each")
-        image = (
-            DepthImage(self.depth, self.K)
-            if self.depth is not None and self.K is not None
-            else None
-        )
+        image = None
+        if self.depth is not None and self.K is not None:
+            image = DepthImage(self.depth, self.K)
         if image is not None and self.pixels is not None and len(self.pixels):
             height, width = image.depth.shape
             if (self.pixels < -0.5).any() or (self.pixels >= np.array([width, height])).any():

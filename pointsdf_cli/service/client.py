@@ -70,11 +70,9 @@ def ask(url: str, path: str, body: bytes) -> bytes:
 def request_tree(request: PlanRequest) -> dict[str, Any]:
     """The body of a request."""
     around = request.environment
+    named = zip(request.clouds, request.names, strict=True)
     return {
-        "clouds": [
-            _cloud_tree(cloud, name)
-            for cloud, name in zip(request.clouds, request.names, strict=True)
-        ],
+        "clouds": [_cloud_tree(cloud, name) for cloud, name in named],
         **asdict(request.choices),
         "environment": {
             "table": around.table,
@@ -115,11 +113,8 @@ def _error(answer: httpx.Response, url: str) -> RgraspError:
     try:
         told = answer.json()["error"]
         kind = {2: InputError, 3: NoPlanError}.get(told["exit_code"], RgraspError)
-        parts = {
-            key: None if told.get(key) is None else str(told[key])
-            for key in ("where", "allowed", "hint")
-        }
-        return kind(str(told["what"]), **parts)
+        known = [key for key in ("where", "allowed", "hint") if told.get(key) is not None]
+        return kind(str(told["what"]), **{key: str(told[key]) for key in known})
     except (ValueError, KeyError, TypeError, AttributeError):
         what = f"the server answers with status {answer.status_code}"
         return RgraspError(what, where=url, hint="is it `rgrasp serve` that listens there?")

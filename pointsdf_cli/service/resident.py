@@ -93,16 +93,9 @@ class Resident:
                 where="q",
                 allowed=f"one grasp or more, of {len(joints)}: " + ", ".join(joints),
             )
-        seen = look_at_table(
-            request.clouds,
-            request.names,
-            robot,
-            start_configuration(request.start, robot),
-            request.segment,
-            request.target,
-            workspace_of(request.workspace),
-            request.cleaned,
-        )
+        start = start_configuration(request.start, robot)
+        choice = request.segment, request.target, workspace_of(request.workspace), request.cleaned
+        seen = look_at_table(request.clouds, request.names, robot, start, *choice)
         sight = planner.see(seen.views, request.seed, table=request.environment.table)
         variables = Variables(robot)
         with torch.no_grad():

@@ -40,9 +40,8 @@ def result_of(tree: Any) -> PlanResult:
         accepted["kinds"] = tuple(accepted["kinds"])
         plan |= {name: tuple(plan[name]) for name in ("joint_names", "link_names")}
         plan |= {"rejected": RejectedSeeds(**rejected), "accepted": AcceptedGrasps(**accepted)}
-        obstacles = tuple(
-            Obstacle(**{**each, "size": tuple(each["size"])}) for each in tree["obstacles"]
-        )
+        around = [each | {"size": tuple(each["size"])} for each in tree["obstacles"]]
+        obstacles = tuple(Obstacle(**each) for each in around)
         return PlanResult(
             Plan(**plan),
             tuple(map(str, tree["report"])),

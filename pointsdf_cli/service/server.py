@@ -55,18 +55,17 @@ class Server:
         self.host, self.port = host, int(self._socket.getsockname()[1])
         self.queue = RequestQueue(places, self._after_request)
         app: Any = make_app(resident, self.queue, host, token, largest)
-        self._server = uvicorn.Server(
-            uvicorn.Config(
-                app,
-                http=PunctualProtocol,
-                log_level="warning",
-                access_log=False,
-                limit_concurrency=CONNECTIONS,
-                timeout_keep_alive=5,
-                ws="none",
-                server_header=False,
-            )
+        config = uvicorn.Config(
+            app,
+            http=PunctualProtocol,
+            log_level="warning",
+            access_log=False,
+            limit_concurrency=CONNECTIONS,
+            timeout_keep_alive=5,
+            ws="none",
+            server_header=False,
         )
+        self._server = uvicorn.Server(config)
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [self._socket]}, name="http", daemon=True
         )
