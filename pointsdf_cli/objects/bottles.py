@@ -134,12 +134,9 @@ def spray_bottle(draw: Draw) -> Manifold:
     nozzle = cylinder(0.008, 0.012, 0.0015, segments=20).rotate((0, 90, 0))
     nozzle = nozzle.translate((front - 0.003, 0, height + 0.01 + 0.65 * head_height))
     reach = draw.uniform("trigger_reach", 0.026, 0.042)
-    knots = [
-        (0.5 * head_length, 0, height + 0.016),
-        (0.46 * head_length, 0, height + 0.01 - 0.5 * reach),
-        (0.6 * head_length, 0, height + 0.01 - reach),
-    ]
-    trigger = smooth_curve(knots, 10)
+    pivot = (0.5 * head_length, 0, height + 0.016)
+    middle = (0.46 * head_length, 0, height + 0.01 - 0.5 * reach)
+    trigger = smooth_curve([pivot, middle, (0.6 * head_length, 0, height + 0.01 - reach)], 10)
     lever = tube(trigger, 0.003, draw.uniform("trigger_width", 0.004, 0.008), up=(0, 1, 0))
     return union([body, collar, head, nozzle, lever])
 
@@ -187,14 +184,9 @@ def pitcher(draw: Draw) -> Manifold:
     wall = draw.uniform("wall", 0.002, 0.004)
     mouth = draw.uniform("mouth_ratio", 0.75, 1.1)
     belly = draw.uniform("belly_ratio", 0.95, 1.2)
-    knots = [
-        (0, 0),
-        (0.92 * radius, 0),
-        (belly * radius, 0.35 * height),
-        (0.5 * (belly + mouth) * radius, 0.75 * height),
-        (mouth * radius, height),
-    ]
-    line = soften(knots)
+    bulge = (belly * radius, 0.35 * height)
+    neck = (0.5 * (belly + mouth) * radius, 0.75 * height)
+    line = soften([(0, 0), (0.92 * radius, 0), bulge, neck, (mouth * radius, height)])
     spout, narrow = draw.uniform("spout", 0.08, 0.4), draw.uniform("spout_width", 0.25, 0.5)
 
     def pour(points: np.ndarray) -> np.ndarray:

@@ -44,12 +44,8 @@ def drink_carton(draw: Draw) -> Manifold:
     parts = [body]
     if top == "slanted":
         rise = draw.uniform("slant", 0.15, 0.4) * depth
-        corners = [
-            (-depth / 2, 0),
-            (depth / 2, 0),
-            (depth / 2, height),
-            (-depth / 2, height + rise),
-        ]
+        half = depth / 2
+        corners = [(-half, 0), (half, 0), (half, height), (-half, height + rise)]
         outline = rounded(polygon(corners), radius)
         # The outline stands in the (y, z) plane and is extruded along x.
         parts = [on_edge(bevelled(outline, width, radius), width)]
@@ -91,9 +87,8 @@ def book(draw: Draw) -> Manifold:
 
 def wood_block(draw: Draw) -> Manifold:
     """A toy building block: cuboid, prism, half round, arch or cross."""
-    form = draw.choice(
-        "form", ("cuboid", "cuboid", "cube", "prism", "half_round", "cross", "column")
-    )
+    forms = ("cuboid", "cuboid", "cube", "prism", "half_round", "cross", "column")
+    form = draw.choice("form", forms)
     edge = draw.log_uniform("edge", 0.03, 0.1)
     radius = draw.uniform("edge_radius", 0.0005, 0.004)
     depth = edge * draw.uniform("depth_ratio", 0.4, 1.0)

@@ -28,14 +28,9 @@ def brick(draw: Draw) -> Manifold:
         studs = grid(columns, max(rows - 2, 1), pitch)
         body = on_edge(bevelled(outline, width, 0.0006), width)
     elif form == "sloped" and rows >= 3:
-        slope = [
-            (-half, 0),
-            (half, 0),
-            (half, 0.15 * height),
-            (half - 1.1 * pitch, height),
-            (-half, height),
-        ]
-        body = on_edge(bevelled(rounded(polygon(slope), 0.0005), width, 0.0006), width)
+        slope = [(half, 0.15 * height), (half - 1.1 * pitch, height)]
+        outline = rounded(polygon([(-half, 0), (half, 0), *slope, (-half, height)]), 0.0005)
+        body = on_edge(bevelled(outline, width, 0.0006), width)
         studs = [(x, y - pitch / 2) for x, y in grid(columns, rows - 1, pitch)]
     else:
         body = rounded_box((width, length, height), 0.0007)
@@ -114,10 +109,8 @@ def peg_board(draw: Draw) -> Manifold:
     thickness = draw.uniform("thickness", 0.012, 0.04)
     hole = pitch * draw.uniform("hole_ratio", 0.1, 0.36)
     margin = draw.uniform("margin", 0.002, 0.02)
-    board = rounded_box(
-        (columns * pitch + margin, rows * pitch + margin, thickness),
-        draw.uniform("edge", 0.0005, 0.004),
-    )
+    size = (columns * pitch + margin, rows * pitch + margin, thickness)
+    board = rounded_box(size, draw.uniform("edge", 0.0005, 0.004))
     floor = thickness * draw.uniform("floor", 0.12, 0.6)
     drill = cylinder(hole, thickness, segments=20).translate((0, 0, floor))
     places = grid(columns, rows, pitch)

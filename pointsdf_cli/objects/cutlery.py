@@ -159,15 +159,11 @@ def spatula(draw: Draw) -> Manifold:
             outline -= stroke([(x, 0.25 * blade), (x, 0.8 * blade)], 0.45 * pitch)
     plate = bevelled(outline, sheet, 0.3 * sheet)
     t = np.linspace(0, 1, 20)
-    knots = [
-        (0, 0.012, 0.6 * sheet),
-        (0, -0.012, 0.004 + 0.25 * crank),
-        (0, -0.35 * handle, 0.7 * crank),
-        (0, -handle, crank),
-    ]
+    shank = [(0, 0.012, 0.6 * sheet), (0, -0.012, 0.004 + 0.25 * crank)]
+    grip = [(0, -0.35 * handle, 0.7 * crank), (0, -handle, crank)]
     slim = draw.uniform("neck_ratio", 0.35, 0.8)
     wide = thick * smooth_steps([0, 0.35, 0.55, 0.9, 1], [slim, slim, 1, 1, 0.75], t)
-    path = smooth_curve(knots, 20)
+    path = smooth_curve([*shank, *grip], 20)
     return union([plate, tube(path, wide, np.maximum(0.6 * wide, 0.0018))])
 
 

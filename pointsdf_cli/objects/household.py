@@ -36,14 +36,9 @@ def lamp(draw: Draw) -> Manifold:
     cover = shell(line, wall)
     if draw.chance("swan_neck", 0.5):
         reach = draw.uniform("reach", 0.03, 0.09)
-        knots = [
-            (0, 0, 0.5 * rise),
-            (0, 0, 0.6 * height),
-            (0.45 * reach, 0, height),
-            (reach, 0, 0.86 * height),
-            (reach, 0, 0.78 * height),
-        ]
-        path = smooth_curve(knots, 26)
+        upright = [(0, 0, 0.5 * rise), (0, 0, 0.6 * height)]
+        neck = [(0.45 * reach, 0, height), (reach, 0, 0.86 * height), (reach, 0, 0.78 * height)]
+        path = smooth_curve([*upright, *neck], 26)
         cover = cover.translate((reach, 0, 0.78 * height - drop))
     else:
         path = np.linspace((0, 0, 0.5 * rise), (0, 0, height), 6)
@@ -116,17 +111,10 @@ def cup_to_go(draw: Draw) -> Manifold:
     foot = radius * draw.uniform("foot_ratio", 0.62, 0.95)
     lid = draw.uniform("lid_height", 0.002, 0.016)
     rim = radius + draw.uniform("rim", 0.001, 0.004)
-    profile = [
-        (foot - 0.003, 0.004),
-        (foot - 0.003, 0),
-        (foot, 0),
-        (radius, height),
-        (rim, height),
-        (rim, height + 0.4 * lid),
-        (0.88 * radius, height + lid),
-        (0.8 * radius, height + 0.6 * lid),
-    ]
-    cup = turn(profile, fillet=0.0006)
+    side = [(foot - 0.003, 0.004), (foot - 0.003, 0), (foot, 0), (radius, height)]
+    edge = [(rim, height), (rim, height + 0.4 * lid)]
+    top = [(0.88 * radius, height + lid), (0.8 * radius, height + 0.6 * lid)]
+    cup = turn([*side, *edge, *top], fillet=0.0006)
     if draw.chance("straw", 0.25):
         lean = draw.uniform("lean", -0.2, 0.2)
         straw = cylinder(0.0035, 0.07, segments=14).rotate((0, float(np.degrees(lean)), 0))
@@ -169,12 +157,9 @@ def teapot(draw: Draw) -> Manifold:
     reach = radius * draw.uniform("spout_reach", 0.4, 0.8)
     start = 0.3 * height
     tip = height * draw.uniform("spout_height", 0.8, 1.1)
-    knots = [
-        (-0.9 * radius, 0, start),
-        (-radius - 0.6 * reach, 0, start + 0.45 * (tip - start)),
-        (-radius - reach, 0, tip),
-    ]
-    spout = tube(smooth_curve(knots, 14), (1.5 * thick, thick), up=(0, 1, 0))
+    bend = (-radius - 0.6 * reach, 0, start + 0.45 * (tip - start))
+    path = smooth_curve([(-0.9 * radius, 0, start), bend, (-radius - reach, 0, tip)], 14)
+    spout = tube(path, (1.5 * thick, thick), up=(0, 1, 0))
     grip = draw.uniform("handle_radius", 0.0045, 0.0075)
     cover = [top.translate((0, 0, height)), knob.translate((0, 0, height + dome + 0.006))]
     return union([body, spout, *cover, _pot_handle(draw, line, radius, height, grip)])

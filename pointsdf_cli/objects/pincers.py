@@ -58,20 +58,16 @@ def scissors(draw: Draw) -> Manifold:
     loop_wide = loop_long * draw.uniform("loop_ratio", 0.55, 0.85)
     rim = draw.uniform("loop_radius", 0.003, 0.0055)
     handle = length - blade - loop_long
-    edge = [
-        (-0.2 * width, -0.2 * width),
-        (0.62 * width, -0.1 * width),
-        (0.5 * width, 0.7 * blade),
-        (0.06 * width, blade),
-        (-0.12 * width, 0.7 * blade),
-    ]
+    heel = [(-0.2 * width, -0.2 * width), (0.62 * width, -0.1 * width)]
+    point = [(0.5 * width, 0.7 * blade), (0.06 * width, blade), (-0.12 * width, 0.7 * blade)]
+    edge = rounded(polygon([*heel, *point]), 0.0008)
     x, y = -0.75 * loop_wide - 0.25 * width, -handle - 0.7 * loop_long
     loop = ellipse(loop_wide, loop_long, 28) + [x, y, 0]
     join = (x + 0.55 * loop_wide, y + 0.86 * loop_long, 0)
     knots = [(0.1 * width, 0.1 * width, 0), (-0.1 * width, -0.5 * handle, 0), join]
     halves = []
     for side in (-1.0, 1.0):
-        plate = centred(bevelled(rounded(polygon(edge), 0.0008), thickness, 0.0005), thickness)
+        plate = centred(bevelled(edge, thickness, 0.0005), thickness)
         ring = tube(loop, rim, 0.8 * rim + 0.5 * thickness, closed=True, corners=12)
         girth, high = (0.38 * width, 1.1 * rim), 0.5 * thickness + 0.4 * rim
         shank = tube(smooth_curve(knots, 10), girth, high, exponent=2.5)
@@ -96,23 +92,15 @@ def pliers(draw: Draw) -> Manifold:
     grip = draw.uniform("grip_radius", 0.005, 0.009)
     bow = draw.uniform("bow", 0.4, 1.2)
     opening = draw.uniform("opening", 0.0, 0.2)
-    knots = [
-        (0.0, 0.0, 0),
-        (-0.55 * gap, -0.15 * length, 0),
-        (-gap * (0.7 + 0.3 * bow), -0.42 * (length - jaw), 0),
-        (-gap, -(length - jaw), 0),
-    ]
-    nose = [
-        (-0.9 * grip, -grip),
-        (1.6 * grip, -grip),
-        (1.6 * grip, 0.3 * jaw),
-        (0.5 * grip, jaw),
-        (-0.05 * grip, jaw),
-    ]
+    elbow = (-gap * (0.7 + 0.3 * bow), -0.42 * (length - jaw), 0)
+    knots = [(0, 0, 0), (-0.55 * gap, -0.15 * length, 0), elbow, (-gap, -(length - jaw), 0)]
+    root = [(-0.9 * grip, -grip), (1.6 * grip, -grip)]
+    tip = [(1.6 * grip, 0.3 * jaw), (0.5 * grip, jaw), (-0.05 * grip, jaw)]
+    nose = rounded(polygon([*root, *tip]), 0.001)
     levers = []
     for side in (-1.0, 1.0):
         lever = tube(smooth_curve(knots, 18), (1.2 * grip, grip), (0.5 * thickness, grip))
-        plate = centred(bevelled(rounded(polygon(nose), 0.001), thickness, 0.001), thickness)
+        plate = centred(bevelled(nose, thickness, 0.001), thickness)
         levers.append(_turned(union([lever, plate]), side, -np.degrees(opening) / 2))
     hinge = cylinder(1.9 * grip, 1.3 * thickness, 0.001, segments=28)
     return union([*levers, centred(hinge, 1.3 * thickness)])

@@ -23,18 +23,9 @@ def can(draw: Draw) -> Manifold:
     ripple = rib_depth * 0.5 * (1 - np.cos(np.linspace(0, 2 * np.pi * ribs, len(z))))
     side = np.column_stack([radius - ripple, z])
     rim = radius + bead
-    profile = [
-        (radius - 0.003, sunk),
-        (radius - 0.002, 0),
-        (rim, 0),
-        (rim, bead_height),
-        *side,
-        (rim, height - bead_height),
-        (rim, height),
-        (radius - 0.002, height),
-        (radius - 0.003, height - sunk),
-    ]
-    return turn(profile, fillet=0.0005)
+    bottom = [(radius - 0.003, sunk), (radius - 0.002, 0), (rim, 0), (rim, bead_height)]
+    top = [(r, height - z) for r, z in reversed(bottom)]
+    return turn([*bottom, *side, *top], fillet=0.0005)
 
 
 def drink_can(draw: Draw) -> Manifold:
@@ -43,19 +34,10 @@ def drink_can(draw: Draw) -> Manifold:
     height = draw.uniform("height", 0.085, 0.17)
     neck = radius * draw.uniform("neck", 0.76, 0.92)
     shoulder = draw.uniform("shoulder", 0.008, 0.02)
-    profile = [
-        (0, 0.006),
-        (neck - 0.006, 0.003),
-        (neck - 0.003, 0),
-        (neck, 0),
-        (radius, shoulder * 0.8),
-        (radius, height - shoulder),
-        (neck, height - 0.003),
-        (neck + 0.001, height),
-        (neck - 0.002, height),
-        (neck - 0.003, height - 0.004),
-    ]
-    body = turn(profile, fillet=0.0006)
+    bottom = [(0, 0.006), (neck - 0.006, 0.003), (neck - 0.003, 0), (neck, 0)]
+    side = [(radius, shoulder * 0.8), (radius, height - shoulder), (neck, height - 0.003)]
+    seam = [(neck + 0.001, height), (neck - 0.002, height), (neck - 0.003, height - 0.004)]
+    body = turn([*bottom, *side, *seam], fillet=0.0006)
     pull = rounded_box((0.5 * neck, 0.8 * neck, 0.0025), 0.001).translate((0, 0, height - 0.0045))
     return union([body, pull])
 
@@ -68,15 +50,9 @@ def crisps_tube(draw: Draw) -> Manifold:
     overhang = draw.uniform("overhang", 0.0005, 0.002)
     dent = draw.uniform("sunk_lid", 0.0, 0.003)
     rim = radius + overhang
-    profile = [
-        (radius, 0),
-        (radius, height - lid),
-        (rim, height - lid),
-        (rim, height),
-        (rim - 0.003, height),
-        (rim - 0.004, height - dent),
-    ]
-    return turn(profile, fillet=0.0008)
+    body = [(radius, 0), (radius, height - lid)]
+    cap = [(rim, height - lid), (rim, height), (rim - 0.003, height), (rim - 0.004, height - dent)]
+    return turn([*body, *cap], fillet=0.0008)
 
 
 def spray_can(draw: Draw) -> Manifold:
@@ -134,15 +110,9 @@ def marker(draw: Draw) -> Manifold:
     cap = radius * draw.uniform("cap_ratio", 1.02, 1.25)
     tail = radius * draw.uniform("tail_ratio", 0.6, 1.0)
     tip = cap * draw.uniform("tip_ratio", 0.6, 0.95)
-    profile = [
-        (tail, 0),
-        (radius, 0.012),
-        (radius, cap_start),
-        (cap, cap_start),
-        (cap, length - 0.012),
-        (tip, length),
-    ]
-    pen = turn(profile, fillet=0.0007, segments=28)
+    barrel = [(tail, 0), (radius, 0.012), (radius, cap_start)]
+    top = [(cap, cap_start), (cap, length - 0.012), (tip, length)]
+    pen = turn([*barrel, *top], fillet=0.0007, segments=28)
     if draw.chance("clip", 0.4):
         clip = rounded_box((0.004, 0.003, 0.6 * (length - cap_start)), 0.0008)
         pen = union([pen, clip.translate((cap, 0, cap_start + 0.3 * (length - cap_start)))])
@@ -158,16 +128,9 @@ def flashlight(draw: Draw) -> Manifold:
     flare = draw.uniform("flare", 0.01, 0.035)
     depth = draw.uniform("lens_depth", 0.002, 0.02)
     start = length - head_length
-    profile = [
-        (radius * 0.9, 0),
-        (radius, 0.008),
-        (radius, start - flare),
-        (head, start),
-        (head, length),
-        (head - 0.003, length),
-        (0.35 * head, length - depth),
-    ]
-    light = turn(profile, fillet=0.0008, segments=40)
+    barrel = [(radius * 0.9, 0), (radius, 0.008), (radius, start - flare)]
+    lens = [(head, start), (head, length), (head - 0.003, length), (0.35 * head, length - depth)]
+    light = turn([*barrel, *lens], fillet=0.0008, segments=40)
     if draw.chance("switch", 0.6):
         switch = rounded_box((0.008, 0.012, 0.025), 0.0025)
         light = union([light, switch.translate((radius - 0.002, 0, 0.45 * length))])

@@ -63,13 +63,11 @@ def _claw(draw: Draw, face: float, half: float) -> Manifold:
     reach = half * draw.uniform("claw_reach", 1.0, 1.5)
     prongs = []
     for side in (-1.0, 1.0):
-        knots = [
-            (0.2 * face, 0, 0.35 * side * spread),
-            (0.5 * reach, -0.15 * drop, 0.7 * side * spread),
-            (reach, -drop, 1.2 * side * spread),
-        ]
+        bend = (0.5 * reach, -0.15 * drop, 0.7 * side * spread)
+        tip = (reach, -drop, 1.2 * side * spread)
+        path = smooth_curve([(0.2 * face, 0, 0.35 * side * spread), bend, tip], 12)
         thick, wide = (0.42 * face, 0.12 * face), (0.5 * face, 0.28 * face)
-        prongs.append(tube(smooth_curve(knots, 12), thick, wide, exponent=3.0))
+        prongs.append(tube(path, thick, wide, exponent=3.0))
     return union(prongs)
 
 
@@ -123,12 +121,10 @@ def power_drill(draw: Draw) -> Manifold:
     handle = tube(path, 1.15 * girth, 0.85 * girth, exponent=2.6, round_ends=False)
     parts = [motor, jaws.translate((length - 0.003, 0, 0)), handle]
     if draw.chance("battery", 0.8):
-        size = (
-            draw.uniform("battery_length", 0.06, 0.11),
-            draw.uniform("battery_height", 0.02, 0.045),
-            draw.uniform("battery_width", 0.045, 0.07),
-        )
-        pack = rounded_box(size, 0.006).translate((0, 0, -size[2] / 2))
+        long = draw.uniform("battery_length", 0.06, 0.11)
+        high = draw.uniform("battery_height", 0.02, 0.045)
+        wide = draw.uniform("battery_width", 0.045, 0.07)
+        pack = rounded_box((long, high, wide), 0.006).translate((0, 0, -wide / 2))
         parts.append(pack.translate((float(foot[0]) + 0.006, float(foot[1]), 0)))
     if draw.chance("bit", 0.5):
         bit = cylinder(0.003, draw.uniform("bit_length", 0.03, 0.07), segments=12)

@@ -102,21 +102,12 @@ def toy_car(draw: Draw) -> Manifold:
     start, end = draw.uniform("cabin_start", -0.45, -0.1), draw.uniform("cabin_end", 0.05, 0.45)
     rake = draw.uniform("rake", 0.0, 0.6) * cabin
     half = length / 2
-    outline = np.array(
-        [
-            (-half, 0),
-            (half, 0),
-            (half, 0.8 * body),
-            (end * length + rake, body),
-            (end * length, body + cabin),
-            (start * length, body + cabin),
-            (start * length - 0.6 * rake, body),
-            (-half, 0.95 * body),
-        ]
-    )
-    outline[:, 0] = np.clip(outline[:, 0], -half, half)
-    edge = draw.uniform("edge", 0.001, 0.008)
-    shell = bevelled(rounded(polygon(outline), 0.06 * body), width, edge)
+    front, rear = end * length, start * length
+    roof = [(front, body + cabin), (rear, body + cabin)]
+    windows = [(min(front + rake, half), body), *roof, (max(rear - 0.6 * rake, -half), body)]
+    base = [(-half, 0), (half, 0), (half, 0.8 * body)]
+    outline = rounded(polygon([*base, *windows, (-half, 0.95 * body)]), 0.06 * body)
+    shell = bevelled(outline, width, draw.uniform("edge", 0.001, 0.008))
     shell = centred(shell, width, (90, 0, 0))
     wheel = draw.uniform("wheel", 0.07, 0.11) * length
     thick = 0.22 * width
@@ -160,12 +151,10 @@ def animal(draw: Draw) -> Manifold:
         place = (neck[0] - 0.2 * head, side * 0.6 * head, neck[2] + 0.75 * head)
         parts.append(ellipsoid((0.3 * ear, 0.55 * ear, ear), place, segments=18))
     if draw.chance("tail", 0.6):
-        knots = [
-            (-0.85 * trunk * stretch, 0, 0.2 * trunk),
-            (-1.4 * trunk * stretch, 0, 0.5 * trunk),
-            (-1.6 * trunk * stretch, 0, draw.uniform("tail_up", 0.0, 1.4) * trunk),
-        ]
-        tail = smooth_curve(knots, 10)
+        root = (-0.85 * trunk * stretch, 0, 0.2 * trunk)
+        bend = (-1.4 * trunk * stretch, 0, 0.5 * trunk)
+        end = (-1.6 * trunk * stretch, 0, draw.uniform("tail_up", 0.0, 1.4) * trunk)
+        tail = smooth_curve([root, bend, end], 10)
         parts.append(tube(tail, np.linspace(0.24, 0.12, 10) * trunk, up=(0, 1, 0), corners=12))
     return union(parts)
 

@@ -30,15 +30,9 @@ def mug(draw: Draw) -> Manifold:
     height = radius * draw.uniform("height_ratio", 1.3, 2.7)
     wall = max(wall_thickness(draw), 0.002)
     foot, belly = draw.uniform("foot_ratio", 0.6, 1.0), draw.uniform("belly_ratio", 0.95, 1.15)
-    knots = [
-        (0, 0),
-        (foot * radius, 0),
-        (0.5 * (foot + belly) * radius, 0.2 * height),
-        (belly * radius, 0.5 * height),
-        (radius, 0.8 * height),
-        (radius, height),
-    ]
-    line = soften(knots)
+    bottom = [(0, 0), (foot * radius, 0), (0.5 * (foot + belly) * radius, 0.2 * height)]
+    side = [(belly * radius, 0.5 * height), (radius, 0.8 * height), (radius, height)]
+    line = soften([*bottom, *side])
     thick = draw.uniform("handle_radius", 0.0032, 0.006)
     flat = draw.uniform("handle_flatness", 0.8, 1.8)
     reach = draw.uniform("handle_reach", 0.02, 0.035) + thick
@@ -112,16 +106,10 @@ def rim_cup(draw: Draw) -> Manifold:
     step = draw.uniform("step", 0.001, 0.004)
     step_height = height * draw.uniform("step_at", 0.06, 0.2)
     roll = draw.uniform("roll", 0.0025, 0.006)
-    line = [
-        (0, 0),
-        (radius - step, 0),
-        (radius - step, step_height),
-        (radius, step_height + 0.002),
-        (radius, height - roll),
-        (radius + 0.3 * roll, height),
-        (radius + 1.2 * roll, height - 0.3 * roll),
-    ]
-    cup = shell(np.concatenate([line[:1], soften(line[1:], 2)]), wall)
+    foot = [(radius - step, 0), (radius - step, step_height), (radius, step_height + 0.002)]
+    rim = [(radius + 0.3 * roll, height), (radius + 1.2 * roll, height - 0.3 * roll)]
+    side = soften([*foot, (radius, height - roll), *rim], 2)
+    cup = shell(np.concatenate([[(0, 0)], side]), wall)
     return cup.rotate((180, 0, 0)) if draw.chance("upside_down", 0.2) else cup
 
 
@@ -134,13 +122,8 @@ def wine_glass(draw: Draw) -> Manifold:
     foot = radius * draw.uniform("foot_ratio", 0.7, 1.05)
     mouth = radius * draw.uniform("mouth_ratio", 0.75, 1.1)
     thick = draw.uniform("stem_radius", 0.003, 0.006)
-    line = [
-        (0, stem),
-        (0.6 * radius, stem + 0.08 * bowl_height),
-        (1.05 * radius, stem + 0.35 * bowl_height),
-        (0.97 * radius, stem + 0.7 * bowl_height),
-        (mouth, stem + bowl_height),
-    ]
+    radii = [0, 0.6 * radius, 1.05 * radius, 0.97 * radius, mouth]
+    line = np.column_stack([radii, stem + bowl_height * np.array([0, 0.08, 0.35, 0.7, 1])])
     base = [(foot, 0), (foot, 0.0015), (1.5 * thick, 0.006), (thick, 0.012 + 0.1 * stem)]
     top = [(thick, stem - 0.05 * stem), (1.8 * thick, stem + 0.02 * bowl_height)]
     if stem < 0.014:
@@ -184,10 +167,8 @@ def open_tin(draw: Draw) -> Manifold:
     ribs = draw.integer("ribs", 0, 6)
     z = np.linspace(0.1, 0.9, 4 * ribs + 2) * height
     ripple = 0.0006 * (1 - np.cos(np.linspace(0, 2 * np.pi * ribs, len(z))))
-    line = np.concatenate(
-        [[(0, 0), (radius, 0)], np.column_stack([radius - ripple, z]), [(radius, height)]]
-    )
-    tin = shell(line, wall)
+    side = np.column_stack([radius - ripple, z])
+    tin = shell([(0, 0), (radius, 0), *side, (radius, height)], wall)
     return tin.rotate((180, 0, 0)) if draw.chance("upside_down", 0.15) else tin
 
 
