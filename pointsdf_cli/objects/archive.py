@@ -14,6 +14,8 @@ LARGEST_MEMBER = 256 * 1024**2
 MOST_MEMBERS = 10_000
 # What is wanted, best first: the watertight mesh, then the same as STL, then the textured one.
 WANTED = ("nontextured.ply", "nontextured.stl", "textured.obj")
+# OverflowError: a member whose size no file position can hold.
+_UNREADABLE = (tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, OSError, OverflowError)
 
 
 def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Path:
@@ -40,11 +42,7 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
             if source is None:
                 raise InputError("the mesh in it is not a file", where=archive)
             data = source.read(largest + 1)
-    # OverflowError: a member whose size no file position can hold.
-    except (
-        *(tarfile.TarError, zlib.error, lzma.LZMAError),
-        *(EOFError, OSError, OverflowError),
-    ) as error:
+    except _UNREADABLE as error:
         what = f"is not a readable tar archive ({type(error).__name__}: {error})"
         raise InputError(what, where=archive, hint="delete it and fetch it again") from error
     if len(data) != member.size:

@@ -109,9 +109,8 @@ def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: 
             for block in response.iter_raw():
                 written += len(block)
                 if written > largest:
-                    raise InputError(
-                        "is larger than allowed", where=url, allowed=f"{largest} bytes"
-                    )
+                    allowed = f"{largest} bytes"
+                    raise InputError("is larger than allowed", where=url, allowed=allowed)
                 file.write(block)
         if "Content-Length" in response.headers and written != expected:
             raise _Broken(f"{written} bytes of {expected}")
@@ -124,9 +123,8 @@ def _size(path: Path) -> int:
 def _remember(tag: Path, headers: httpx.Headers) -> None:
     """Keep what identifies this version of the file; a weak entity tag does not."""
     entity = headers.get("ETag", "")
-    validator = (
-        entity if entity and not entity.startswith("W/") else headers.get("Last-Modified", "")
-    )
+    strong = entity and not entity.startswith("W/")
+    validator = entity if strong else headers.get("Last-Modified", "")
     if validator:
         tag.write_text(validator, encoding="ascii")
     else:

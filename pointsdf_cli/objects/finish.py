@@ -121,13 +121,11 @@ def closed_surface_problem(vertices: np.ndarray, faces: np.ndarray) -> str:
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     forward = edges[:, 0] * len(vertices) + edges[:, 1]
     backward = edges[:, 1] * len(vertices) + edges[:, 0]
-    if len(np.unique(forward)) != len(forward) or not np.array_equal(
-        np.sort(forward), np.sort(backward)
-    ):
+    paired = np.array_equal(np.sort(forward), np.sort(backward))
+    if len(np.unique(forward)) != len(forward) or not paired:
         return "an edge is not shared by two faces"
-    graph = scipy.sparse.coo_array(
-        (np.ones(len(edges), dtype=np.int8), tuple(edges.T)), shape=(len(vertices),) * 2
-    )
+    joined = np.ones(len(edges), dtype=np.int8)
+    graph = scipy.sparse.coo_array((joined, tuple(edges.T)), shape=(len(vertices),) * 2)
     if scipy.sparse.csgraph.connected_components(graph, directed=False)[0] != 1:
         return "more than one piece"
     if mesh_volume(vertices, faces) <= 1e-9:

@@ -63,9 +63,8 @@ def find_label_tasks(
     for file in files:
         place = file.relative_to(views).with_suffix("")
         mesh = by_place.get(place)
-        tasks.append(
-            LabelTask(place.as_posix(), file, mesh, out / f"{place}.h5", config, seed, force)
-        )
+        path = out / f"{place}.h5"
+        tasks.append(LabelTask(place.as_posix(), file, mesh, path, config, seed, force))
     if all(task.mesh is None for task in tasks):
         raise _no_mesh(tasks[0])
     return tasks
@@ -109,14 +108,9 @@ def label_file(task: LabelTask) -> LabelSummary | None:
             hint="render it again: rgrasp render --meshes MESHES --out VIEWS --force "
             f"--pattern '{task.mesh.name}'",
         )
+    seed = task_seed(task.seed, task.name)
     with as_input_error(task.mesh):
-        samples = sample_sdf(
-            mesh.vertices, mesh.faces, task.config, task_seed(task.seed, task.name)
-        )
-    write_labels(
-        task.out,
-        Labels(samples.points, samples.sdf, task.mesh.name, mesh.sha256),
-        seed=task.seed,
-        config=config,
-    )
+        samples = sample_sdf(mesh.vertices, mesh.faces, task.config, seed)
+    labels = Labels(samples.points, samples.sdf, task.mesh.name, mesh.sha256)
+    write_labels(task.out, labels, seed=task.seed, config=config)
     return LabelSummary(len(samples.points), samples.inside_fraction)

@@ -35,9 +35,8 @@ def split_long_edges(
     """
     while True:
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        code, edge_of_corner = np.unique(
-            edges[:, 0] * len(vertices) + edges[:, 1], return_inverse=True
-        )
+        codes = edges[:, 0] * len(vertices) + edges[:, 1]
+        code, edge_of_corner = np.unique(codes, return_inverse=True)
         start, end = np.divmod(code, len(vertices))
         too_long = np.linalg.norm(vertices[end] - vertices[start], axis=1) > longest
         if not too_long.any():

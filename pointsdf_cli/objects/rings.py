@@ -48,9 +48,8 @@ def doughnut(draw: Draw) -> Manifold:
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     swell = thick * (1 + depth * np.cos(lumps * angle)) / (1 + depth)
     power = draw.uniform("section", 1.8, 3.2)
-    return tube(
-        ellipse(radius, radius, 48), swell, flat * thick, closed=True, corners=22, exponent=power
-    )
+    path = ellipse(radius, radius, 48)
+    return tube(path, swell, flat * thick, closed=True, corners=22, exponent=power)
 
 
 def chain(draw: Draw) -> Manifold:

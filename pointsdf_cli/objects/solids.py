@@ -267,7 +267,6 @@ def _same_turns(outlines: Sequence[np.ndarray], insets: Sequence[np.ndarray]) ->
         moved = np.roll(inset, -1, axis=0) - inset
         if np.any(np.sum(edge * moved, axis=1) <= 0):
             return False
-    simple = CrossSection(list(insets))
-    return simple.num_contour() == len(outlines) and bool(
-        np.isclose(simple.area(), sum(map(signed_area, insets)), rtol=1e-5)
-    )
+    simple, area = CrossSection(list(insets)), sum(map(signed_area, insets))
+    as_large = bool(np.isclose(simple.area(), area, rtol=1e-5))
+    return as_large and simple.num_contour() == len(outlines)

@@ -8,7 +8,7 @@ that are not in YCB.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,36 +29,22 @@ class StandIn:
     """
 
     family: str
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    size: tuple[float, float, float] = (0.1, 0.1, 0.1)
+    parameters: Mapping[str, Value]
+    size: tuple[float, float, float]
+
+
+_SHAPE = ("half_width", "depth_ratio", "height_ratio", "squareness", "waist", "top_ratio")
+
+
+def _bottle(size: tuple[float, float, float], cap: str, *shape: float) -> StandIn:
+    """A squeeze bottle with a cap of this form; `shape` has a value for each of `_SHAPE`."""
+    parameters: dict[str, Value] = dict(zip(_SHAPE, shape, strict=True))
+    return StandIn("squeeze_bottle", parameters | {"cap_form": cap}, size)
 
 
 STAND_INS: dict[str, StandIn] = {
-    "mustard": StandIn(
-        "squeeze_bottle",
-        {
-            "half_width": 0.048,
-            "depth_ratio": 0.6,
-            "height_ratio": 3.5,
-            "cap_form": "nozzle",
-            "squareness": 2.6,
-            "waist": 0.95,
-            "top_ratio": 0.8,
-        },
-        (0.096, 0.058, 0.191),
-    ),
-    "soft_scrub": StandIn(
-        "squeeze_bottle",
-        {
-            "half_width": 0.051,
-            "depth_ratio": 0.67,
-            "height_ratio": 4.6,
-            "squareness": 3.2,
-            "waist": 0.9,
-            "top_ratio": 0.85,
-        },
-        (0.102, 0.068, 0.251),
-    ),
+    "mustard": _bottle((0.096, 0.058, 0.191), "nozzle", 0.048, 0.6, 3.5, 2.6, 0.95, 0.8),
+    "soft_scrub": _bottle((0.102, 0.068, 0.251), "flat", 0.051, 0.67, 4.6, 3.2, 0.9, 0.85),
     "toy_airplane": StandIn(
         "aeroplane",
         {
@@ -96,19 +82,7 @@ STAND_INS: dict[str, StandIn] = {
         {"width": 0.064, "depth_ratio": 0.66, "height_ratio": 1.64, "top": "flat", "cap": False},
         (0.064, 0.042, 0.105),
     ),
-    "max_gel": StandIn(
-        "squeeze_bottle",
-        {
-            "half_width": 0.0375,
-            "depth_ratio": 0.73,
-            "height_ratio": 4.4,
-            "cap_form": "dome",
-            "squareness": 2.2,
-            "waist": 1.0,
-            "top_ratio": 0.95,
-        },
-        (0.075, 0.055, 0.185),
-    ),
+    "max_gel": _bottle((0.075, 0.055, 0.185), "dome", 0.0375, 0.73, 4.4, 2.2, 1.0, 0.95),
 }
 
 
@@ -133,8 +107,7 @@ class FixedDraw(Draw):
 
     def choice(self, name: str, options: Sequence[Option]) -> Option:
         """The given value, or the first option."""
-        given: Option = self._given.get(name, options[0])  # type: ignore[assignment]
-        return self._record(name, given)
+        return self._record(name, self._given.get(name, options[0]))
 
     def chance(self, name: str, probability: float) -> bool:
         """The given value, or the likelier one."""

@@ -130,11 +130,9 @@ def write_manifest(folder: Path) -> Path:
     sides = ["extent_x_m", "extent_y_m", "extent_z_m"]
     table.writerow(["name", "family", "seed", "index", *sides, "volume_m3", "faces", "parameters"])
     for about in rows:
-        table.writerow(
-            [about[key] for key in ("name", "family", "seed", "index")]
-            + about["extent"]
-            + [about["volume"], about["faces"], json.dumps(about["parameters"], sort_keys=True)]
-        )
+        which = [about[key] for key in ("name", "family", "seed", "index")]
+        drawn = json.dumps(about["parameters"], sort_keys=True)
+        table.writerow([*which, *about["extent"], about["volume"], about["faces"], drawn])
     path = folder / MANIFEST
     write_text_atomic(path, text.getvalue())
     return path
@@ -164,13 +162,8 @@ def _is_same(task: ObjectTask) -> bool:
     if about is None:
         raise OptionsDifferError.of_file(task.path, "is not a complete generated object")
     ours = {"seed": task.seed, "index": task.index, "generator_version": GENERATOR_VERSION}
-    changed = [
-        f"{key}: {about.get(key)} there, {ours[key]} now"
-        for key in ours
-        if about.get(key) != ours[key]
-    ]
-    if changed:
-        raise OptionsDifferError.of_file(
-            task.path, f"was made with other options ({', '.join(changed)})"
-        )
+    differing = [key for key in ours if about.get(key) != ours[key]]
+    if differing:
+        told = ", ".join(f"{key}: {about.get(key)} there, {ours[key]} now" for key in differing)
+        raise OptionsDifferError.of_file(task.path, f"was made with other options ({told})")
     return True
