@@ -13,26 +13,10 @@ from pointsdf_cli import __version__
 from pointsdf_cli.errors import InputError
 
 COMMANDS = (
-    "objects",
-    "render",
-    "label-sdf",
-    "train-sdf",
-    "eval-sdf",
-    "calibrate",
-    "cloud",
-    "segment",
-    "mesh",
-    "collect-grasps",
-    "train-gs",
-    "eval-gs",
-    "plan",
-    "serve",
-    "trial",
-    "info",
-    "doctor",
-    "report",
-    "robot",
-    "view",
+    *("objects", "render", "label-sdf", "train-sdf", "eval-sdf"),
+    *("calibrate", "cloud", "segment", "mesh"),
+    *("collect-grasps", "train-gs", "eval-gs", "plan", "serve", "trial"),
+    *("info", "doctor", "report", "robot", "view"),
 )
 """Commands in the order of the help. Each is defined in the module of its name: as a function of
 that name or, if it has subcommands, as `app`."""

@@ -129,9 +129,8 @@ def calibrate(
         pose = T_world_base @ placed @ pose
     write_pose(out, pose)
     values = _values(found)
-    reporter.result(
-        {"out": out, name: pose, "eye_in_hand": eye_in_hand, **values}, _lines(values, out, name)
-    )
+    facts = {"out": out, name: pose, "eye_in_hand": eye_in_hand}
+    reporter.result({**facts, **values}, _lines(values, out, name))
 
 
 def _squares(text: str) -> tuple[int, int]:
@@ -148,35 +147,26 @@ def _write_board(reporter: common.Reporter, path: Path, board: CharucoBoard) -> 
     drawn = draw_board(board, PIXELS_A_SQUARE, PIXELS_A_SQUARE // 3)
     caption = f"{board}. Print at 100%, measure a square.".replace("×", "x")  # the font lacks ×
     width, height = write_board_page(path, drawn, PIXELS_A_SQUARE / board.square, caption)
-    reporter.result(
-        {"board": path, "width_mm": 1000 * width, "height_mm": 1000 * height},
-        [
-            f"{path}: {board}; {1000 * width:.0f} × {1000 * height:.0f} mm with its margin",
-            "print it at 100% (no fitting to the page), glue it to something flat, measure a "
-            "square, and give that as --square",
-        ],
-    )
+    values = {"board": path, "width_mm": 1000 * width, "height_mm": 1000 * height}
+    lines = [
+        f"{path}: {board}; {1000 * width:.0f} × {1000 * height:.0f} mm with its margin",
+        "print it at 100% (no fitting to the page), glue it to something flat, measure a "
+        "square, and give that as --square",
+    ]
+    reporter.result(values, lines)
 
 
 def _values(found: Calibration) -> dict[str, Any]:
     solved, used = found.hand_eye, found.hand_eye.used
-    columns = {
-        "image": found.images,
-        "corners": found.corners,
-        "error_px": solved.error_px,
-        "error_mm": solved.error_mm,
-        "error_deg": solved.error_deg,
-        "used": used.tolist(),
-    }
+    errors = {name: getattr(solved, name) for name in ("error_px", "error_mm", "error_deg")}
+    columns = {"image": found.images, "corners": found.corners, **errors, "used": used.tolist()}
     rows = zip(*columns.values(), strict=True)
     return {
         "images_used": int(used.sum()),
         "outliers": found.outliers,
         "without_board": found.without_board,
         "poses_matched_by": "name" if found.matched_by_name else "order",
-        "error_px": _rms(solved.error_px[used]),
-        "error_mm": _rms(solved.error_mm[used]),
-        "error_deg": _rms(solved.error_deg[used]),
+        **{name: _rms(each[used]) for name, each in errors.items()},
         "sigma_mm": solved.sigma_mm,
         "sigma_deg": solved.sigma_deg,
         "T_target_board": solved.Z,
@@ -197,9 +187,8 @@ def _lines(values: Mapping[str, Any], out: Path, name: str) -> list[str]:
     ]
     for each in values["images"]:
         told = "" if each["used"] else "   does not fit, left out: was the robot there?"
-        lines.append(
-            f"  {each['image']}: {each['corners']} corners, {', '.join(errors(each))}{told}"
-        )
+        seen = f"{each['corners']} corners, {', '.join(errors(each))}"
+        lines.append(f"  {each['image']}: {seen}{told}")
     lines += [f"  {image}: no board found, left out" for image in values["without_board"]]
     if values["poses_matched_by"] == "order":
         lines.append("poses and images were matched by their order: give names to be sure")

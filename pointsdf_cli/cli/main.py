@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import errno
 import gc
 import os
 import signal
@@ -11,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import EACCES, EDQUOT, EFBIG, ENAMETOOLONG, ENOSPC, EPERM, EROFS
 from types import FrameType
 from typing import NoReturn
 
@@ -102,29 +102,18 @@ def main() -> None:
         sys.exit(2)
 
 
-_NO_PLACE = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EACCES,
-    errno.EROFS,
-    errno.EPERM,
-    errno.ENAMETOOLONG,
-    errno.EFBIG,
-)
+_NO_PLACE = (ENOSPC, EDQUOT, EACCES, EROFS, EPERM, ENAMETOOLONG, EFBIG)
 
 
 def _told(error: OSError) -> InputError:
     """Input error for an operating system error that names a file."""
     from pointsdf_cli.io.atomic import unwritable
 
-    if error.errno not in (errno.EACCES, errno.EPERM):
+    if error.errno not in (EACCES, EPERM):
         return unwritable(error.filename, error)
     # Whether it was to be read or written is not known here.
-    return InputError(
-        "permission denied",
-        where=error.filename,
-        allowed="files and folders that you may read, an --out that you may write",
-    )
+    allowed = "files and folders that you may read, an --out that you may write"
+    return InputError("permission denied", where=error.filename, allowed=allowed)
 
 
 def _open_closed_streams() -> None:
@@ -157,12 +146,8 @@ def _refuse_empty(arguments: list[str]) -> None:
             continue
         before = arguments[place - 1] if place else ""
         where = option if equals else before if before.startswith("-") else "the command line"
-        raise InputError(
-            "an argument is empty",
-            where=where,
-            allowed="a value, or to leave it out",
-            hint="is a variable of your shell unset?",
-        )
+        allowed, hint = "a value, or to leave it out", "is a variable of your shell unset?"
+        raise InputError("an argument is empty", where=where, allowed=allowed, hint=hint)
 
 
 def _too_little_memory(error: BaseException) -> NoReturn:

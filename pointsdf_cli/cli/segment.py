@@ -81,29 +81,17 @@ def segment(
     if labels is not None:
         draw_labels(labels, listing)
     draw_numbers(picture, listing, color)
+    objects = []
     lines = [f"{'number':>6}  {'centre [m]':^20}  {'size [cm]':^18}  points"]
     for item in listing.objects:
+        points = listing.points[item.number]
+        place = {"number": item.number, "centre": item.centre, "size": item.size}
+        objects.append({**place, "points": points, "may_be_several": item.unsplit})
         centre = ", ".join(f"{value:6.3f}" for value in item.centre)
         size = " × ".join(f"{100 * value:4.1f}" for value in item.size)
         doubt = "  several in touch?" if item.unsplit else ""
-        lines.append(f"{item.number:>6}  {centre}  {size}  {listing.points[item.number]}{doubt}")
+        lines.append(f"{item.number:>6}  {centre}  {size}  {points}{doubt}")
     lines.append(f"{picture}: the picture")
     if labels is not None:
         lines.append(f"{labels}: the labels")
-    reporter.result(
-        {
-            "picture": picture,
-            "labels": labels,
-            "objects": [
-                {
-                    "number": item.number,
-                    "centre": item.centre,
-                    "size": item.size,
-                    "points": listing.points[item.number],
-                    "may_be_several": item.unsplit,
-                }
-                for item in listing.objects
-            ],
-        },
-        lines,
-    )
+    reporter.result({"picture": picture, "labels": labels, "objects": objects}, lines)
