@@ -100,9 +100,8 @@ def cloud(
     elif bag != BagOptions():
         raise InputError("is not a bag, but an option for bags is given", where=depth)
     elif intrinsics is None:
-        raise InputError(
-            "a depth image needs its intrinsics", where=depth, hint="add --intrinsics K.json"
-        )
+        hint = "add --intrinsics K.json"
+        raise InputError("a depth image needs its intrinsics", where=depth, hint=hint)
     elif depth.suffix.lower() not in DEPTH_SUFFIXES:
         allowed = ", ".join(DEPTH_SUFFIXES)
         raise InputError(f"{depth.suffix!r} is not a depth image", where=depth, allowed=allowed)
@@ -149,9 +148,8 @@ def _cloud_of_bag(
     place = None if pose is None else table_place(pose)
     fixed = None if pose is None or place is not None else camera_pose(pose)
     if pose is not None and bag.world_frame is not None:
-        raise InputError(
-            "two poses: --world-frame and --camera-pose", where=path, hint="leave one out"
-        )
+        what = "two poses: --world-frame and --camera-pose"
+        raise InputError(what, where=path, hint="leave one out")
     made, frames, said = cloud_of_bag(path, bag, options.intrinsics, options.near, options.far)
     said += made.notes
     if cleaned:

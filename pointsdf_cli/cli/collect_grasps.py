@@ -84,11 +84,8 @@ def collect_grasps(
     machine, found = load_robot(robot), find_meshes(meshes, pattern)
     networks = {"--checkpoint": checkpoint, "--grasp-checkpoint": grasp_checkpoint}
     if preshapes == "heuristic" and (option := first_given(networks)):
-        raise InputError(
-            "the heuristic uses no network",
-            where=option,
-            hint="add --preshapes planned, or leave it out",
-        )
+        hint = "add --preshapes planned, or leave it out"
+        raise InputError("the heuristic uses no network", where=option, hint=hint)
     require_reconstructions([checkpoint])
     require_successes([grasp_checkpoint], machine)
 
@@ -183,11 +180,8 @@ def _collect(
         for name, error in report.refused:
             refused[name] = error.what
             reporter.say(f"skipped: {error.message}")
-        items = [
-            (name, *read_grasps(task.out))
-            for name, task in tasks.items()
-            if task.out.is_file() and name not in refused
-        ]
+        useful = {name: task.out for name, task in tasks.items() if name not in refused}
+        items = [(name, *read_grasps(out)) for name, out in useful.items() if out.is_file()]
         executed = {name: int(grasps.executed.sum()) for name, grasps, _ in items}
         more = next_quotas(quotas, executed, splits, wanted) if whole else None
         if more is None:

@@ -223,11 +223,8 @@ def table_files(
     from pointsdf_cli.io.atomic import require_folder, require_new
 
     if not out.name or out.suffix.lower() in beside:
-        raise InputError(
-            f"{out} is not a file name, or ends like the files written beside the table",
-            where="--out",
-            allowed="such as table.json",
-        )
+        what = f"{out} is not a file name, or ends like the files written beside the table"
+        raise InputError(what, where="--out", allowed="such as table.json")
     files = [out, *(out.with_suffix(suffix) for suffix in beside)]
     require_apart(files, inputs)
     for path in files:
@@ -243,11 +240,10 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
         InputError: It has none of the suffixes.
     """
     if path.suffix.lower() not in suffixes:
-        raise InputError(
-            f"{path} does not end in {' or '.join(suffixes)}, and other commands would not read it",
-            where=option,
-            allowed=f"such as {path.stem or 'result'}{suffixes[0]}",
-        )
+        ends = " or ".join(suffixes)
+        what = f"{path} does not end in {ends}, and other commands would not read it"
+        allowed = f"such as {path.stem or 'result'}{suffixes[0]}"
+        raise InputError(what, where=option, allowed=allowed)
 
 
 def take_threads(threads: int) -> None:
@@ -301,10 +297,7 @@ def labels_of(checkpoints: list[Path]) -> list[str]:
     if len(set(whole)) < len(whole):
         raise InputError("a checkpoint is given twice", where="--checkpoint", allowed="each once")
     names = [path.name for path in whole]
-    return [
-        name if names.count(name) == 1 else str(path)
-        for name, path in zip(names, whole, strict=True)
-    ]
+    return [path.name if names.count(path.name) == 1 else str(path) for path in whole]
 
 
 def cache_beside(folder: Path) -> Path:
@@ -340,10 +333,8 @@ def torch_device(name: str) -> str:
     import torch
 
     device = torch.device(name)
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise InputError(
-            f"{name} is not on this machine ({torch.cuda.device_count()} CUDA devices)",
-            where="--device",
-            allowed="cpu" + "".join(f", cuda:{k}" for k in range(torch.cuda.device_count())),
-        )
+    if device.type == "cuda" and (device.index or 0) >= (count := torch.cuda.device_count()):
+        what = f"{name} is not on this machine ({count} CUDA devices)"
+        allowed = ", ".join(["cpu", *(f"cuda:{k}" for k in range(count))])
+        raise InputError(what, where="--device", allowed=allowed)
     return name

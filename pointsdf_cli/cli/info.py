@@ -41,9 +41,6 @@ def _lines(path: Path, description: dict[str, Any]) -> list[str]:
     for name, entry in description["datasets"].items():
         shape = " × ".join(map(str, entry["shape"])) or "scalar"
         meaning = ", ".join(part for part in (entry["units"], entry["frame"]) if part)
-        lines.append(
-            on_one_line(
-                f"    {name}: {entry['dtype']} [{shape}]" + (f" ({meaning})" if meaning else "")
-            )
-        )
+        told = f" ({meaning})" if meaning else ""
+        lines.append(on_one_line(f"    {name}: {entry['dtype']} [{shape}]{told}"))
     return lines

@@ -46,10 +46,8 @@ def is_lack_of_memory(error: BaseException) -> bool:
             return True
         if isinstance(found, OSError) and found.errno == errno.ENOMEM:
             return True
-        said = str(found).lower()
-        if isinstance(found, (RuntimeError, ImportError, OSError, SystemError)) and any(
-            words in said for words in _SAID
-        ):
+        said_so = any(words in str(found).lower() for words in _SAID)
+        if said_so and isinstance(found, (RuntimeError, ImportError, OSError, SystemError)):
             return True
     return _limit_was_near()
 

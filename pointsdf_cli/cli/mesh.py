@@ -207,10 +207,8 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
         # Matplotlib and Open3D take longer to load than the mesh takes to make.
         from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
-        row = GalleryRow(
-            cloud.stem, points, (made.vertices, made.faces), None, completed.reconstruction.sdf
-        )
-        draw_gallery(picture, [row])
+        surface, sdf = (made.vertices, made.faces), completed.reconstruction.sdf
+        draw_gallery(picture, [GalleryRow(cloud.stem, points, surface, None, sdf)])
     values: dict[str, Any] = {
         "out": task.out,
         "picture": picture,
@@ -255,9 +253,6 @@ def mesh_path(out: Path | None, form: str | None) -> Path:
     if not suffix:
         return out.with_suffix(f".{form}")
     if suffix != form:
-        raise InputError(
-            f"--format {form} and --out {out.name} disagree",
-            where="--out",
-            allowed=f"a name that ends in .{form}",
-        )
+        what = f"--format {form} and --out {out.name} disagree"
+        raise InputError(what, where="--out", allowed=f"a name that ends in .{form}")
     return out

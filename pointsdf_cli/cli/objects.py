@@ -52,9 +52,7 @@ def make(
     reporter = common.Reporter(quiet, as_json)
     total = len(shard_of(range(check_count(count)), shard))
     with reporter.progress("objects", total) as progress:
-        report = make_objects(
-            out, count, seed, chosen, jobs, shard, force, on_result=progress.advance
-        )
+        report = make_objects(out, count, seed, chosen, jobs, shard, force, progress.advance)
     mix = Counter(about["family"] for about in report.made.values())
     rate = len(report.made) / report.seconds if report.seconds else 0.0
     if sheet:
@@ -97,28 +95,23 @@ def fetch(
     wanted = None if objects is None else [name.strip() for name in objects.split(",")]
     common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
+    address = base_url or YCB_BASE_URL
     with reporter.progress("fetch", len(choose_ycb(wanted))) as progress:
-        states, refused = fetch_ycb(
-            out, wanted, base_url or YCB_BASE_URL, force, on_done=progress.advance
-        )
+        states, refused = fetch_ycb(out, wanted, address, force, on_done=progress.advance)
     if sheet and states:
         _draw_sheet(sheet, [out / f"{name}.ply" for name in states])
     fetched = [name for name, state in states.items() if state == "fetched"]
+    kept = len(states) - len(fetched)
     if states:
-        reporter.result(
-            {"out": out, "fetched": fetched, "kept": len(states) - len(fetched), "sheet": sheet},
-            [f"{out}: {len(fetched)} fetched, {len(states) - len(fetched)} there already"],
-        )
+        values = {"out": out, "fetched": fetched, "kept": kept, "sheet": sheet}
+        reporter.result(values, [f"{out}: {len(fetched)} fetched, {kept} there already"])
     if refused and skip_bad and states:
         reporter.say(*(f"skipped: {error.message}" for error in refused))
     elif len(refused) == 1:
         raise refused[0]
     elif refused:
-        raise InputError(
-            f"{len(refused)} objects cannot be used:\n"
-            + "\n".join(f"  {error.message}" for error in refused[:10]),
-            where=out,
-        )
+        reasons = "\n".join(f"  {error.message}" for error in refused[:10])
+        raise InputError(f"{len(refused)} objects cannot be used:\n{reasons}", where=out)
 
 
 def _draw_sheet(path: Path, meshes: list[Path]) -> None:

@@ -246,12 +246,9 @@ def plan(
 
 
 def _assumed_pose(where: str) -> InputError:
-    return InputError(
-        "a motion with an assumed camera pose would miss the object",
-        where=where,
-        hint="leave --trajectory out, or calibrate the camera and give its pose "
-        "(docs/your-camera.md)",
-    )
+    what = "a motion with an assumed camera pose would miss the object"
+    instead = "calibrate the camera and give its pose (docs/your-camera.md)"
+    return InputError(what, where=where, hint=f"leave --trajectory out, or {instead}")
 
 
 _RECORDED = (
@@ -281,6 +278,5 @@ def _check_server(server: str, threads: int, device: str) -> None:
 
     server_address(server)
     if option := choices.first_given({"--threads": threads != 0, "--device": device != "cpu"}):
-        raise InputError(
-            f"{option} with --server", hint=f"give {option} to `rgrasp serve`, or leave it out"
-        )
+        hint = f"give {option} to `rgrasp serve`, or leave it out"
+        raise InputError(f"{option} with --server", hint=hint)

@@ -66,11 +66,8 @@ def _require_plans(found: dict[str, PlanSummary], out: Path, least: float, skip_
             where=out,
             hint="each file holds its reason; --skip-bad exits with 0 all the same",
         )
-    unlikely = [
-        name
-        for name, summary in found.items()
-        if not summary.reason and summary.success_probability < least
-    ]
+    planned = {name: summary for name, summary in found.items() if not summary.reason}
+    unlikely = [name for name, each in planned.items() if each.success_probability < least]
     if unlikely:
         raise UnlikelyPlanError(
             f"{len(unlikely)} of {len(found)} plans are not likely to hold: {_names(unlikely)}",

@@ -45,11 +45,8 @@ class PlanOutputs:
         files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
         asked = {option: path for option, path in files.items() if path is not None}
         if len({path.resolve() for path in asked.values()}) < len(asked):
-            raise InputError(
-                "two outputs have one path",
-                where=", ".join(f"{option} {path}" for option, path in asked.items()),
-                allowed="one each",
-            )
+            where = ", ".join(f"{option} {path}" for option, path in asked.items())
+            raise InputError("two outputs have one path", where=where, allowed="one each")
         common.check_picture(self.picture, force=True)  # its suffix
         # Other files may belong to another plan.
         its_own = {self.out, self.out.with_suffix(".png")} if _is_failed_plan(self.out) else set()
@@ -123,9 +120,8 @@ def plan_one(
     if trajectory is not None and found:
         write_trajectory(trajectory, answer)
         if asked.get("start") is None:
-            reporter.say(
-                f"{trajectory} begins at the robot's home; if it stands elsewhere: --start"
-            )
+            begins = "begins at the robot's home; if it stands elsewhere: --start"
+            reporter.say(f"{trajectory} {begins}")
     stale_picture = out.with_suffix(".png")
     if picture is None and stale_picture.exists():
         reporter.say(f"{stale_picture} was there before and does not show this plan")
@@ -186,9 +182,6 @@ def _report(
             f"{accepted} grasps accepted; motion of {len(plan.times)} points, "
             f"{plan.times[-1]:.1f} s long; the open hand {near:.1f} mm from the object"
         )
-    lines += [
-        f"{path}: {what}"
-        for what, path in (("the picture", picture), ("the motion", trajectory))
-        if path
-    ]
+    written = {"the picture": picture, "the motion": trajectory}
+    lines += [f"{path}: {what}" for what, path in written.items() if path]
     reporter.result({**plan_as_json(plan), **result.said(), **files}, lines)

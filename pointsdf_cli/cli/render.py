@@ -87,19 +87,16 @@ def render(
         raise InputError(f"{option} with --scene table", hint="leave one of the two out")
     if scene == "table" and (noise is not None or distance is not None):
         option = "--noise" if noise is not None else "--distance"
-        raise InputError(
-            f"{option} with --scene table",
-            hint="leave it out: the scenes vary the distance, and --sensor makes the errors",
-        )
+        hint = "leave it out: the scenes vary the distance, and --sensor makes the errors"
+        raise InputError(f"{option} with --scene table", hint=hint)
     sensors = tuple(name.strip() for name in sensor.split(","))
     if scene == "void" and (len(sensors) > 1 or exact):
         option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
         raise InputError("is for --scene table", where=option, hint="add --scene table")
 
     if scene == "void" and noise is not None and sensor != "ideal":
-        raise InputError(
-            f"--noise with --sensor {sensor}, which has noise of its own", hint="leave it out"
-        )
+        what = f"--noise with --sensor {sensor}, which has noise of its own"
+        raise InputError(what, hint="leave it out")
     # Seconds of imports: only for options that fit each other.
     from pointsdf_cli.camera.noise import DepthNoise
     from pointsdf_cli.camera.pinhole import load_camera
@@ -130,8 +127,6 @@ def render(
     repaired = {n: s.repair for n, s in report.made.items() if s.repair != "none"}
     rate = made / report.seconds if report.seconds else 0.0
     values = {"views": made, "redrawn": redrawn, "views_per_second": rate, "repaired": repaired}
-    line = (
-        f"{made} views ({redrawn} drawn again), {rate:.0f} a second; "
-        f"{len(repaired)} meshes repaired"
-    )
+    drawn = f"{made} views ({redrawn} drawn again), {rate:.0f} a second"
+    line = f"{drawn}; {len(repaired)} meshes repaired"
     reporter.finish(report, out, skip_bad, values, [line])

@@ -67,11 +67,8 @@ def report(
     require_apart([page, *drawn], [artifacts, robot, meshes])
     made = _content(artifacts, robot, meshes, unit, title)
     if pictures and isinstance(made, str):
-        raise InputError(
-            "is only for pages about views or labels",
-            where="--pictures",
-            hint="leave it out: the page contains its pictures",
-        )
+        hint = "leave it out: the page contains its pictures"
+        raise InputError("is only for pages about views or labels", where="--pictures", hint=hint)
     for path in (page, *drawn):  # known before anything is written
         require_place(path, force)
     text = made if isinstance(made, str) else data_report(made, title)
@@ -85,9 +82,8 @@ def report(
         if labels:
             written.append(drawn[1])
             save_figure(sdf_slices(labels), written[-1])
-    common.Reporter(quiet, as_json).result(
-        {"written": [str(path) for path in written]}, [f"{path}" for path in written]
-    )
+    lines = [f"{path}" for path in written]
+    common.Reporter(quiet, as_json).result({"written": lines}, lines)
 
 
 def _content(
@@ -146,11 +142,8 @@ def _content(
         from pointsdf_cli.trials.report import html_report
 
         return html_report(read_trials(path), [], title, {})
-    raise InputError(
-        f"holds {kind}, of which no page can be made",
-        where=path,
-        allowed="views, labels, grasps, plan, trials",
-    )
+    what = f"holds {kind}, of which no page can be made"
+    raise InputError(what, where=path, allowed="views, labels, grasps, plan, trials")
 
 
 def _of_grasps(files: list[Path], title: str) -> str:

@@ -136,11 +136,8 @@ class Progress:
         if not self._quiet and (now - self._spoke > self._LINE_EVERY):
             self._spoke = now
             left = (now - self._started) / self._count * (self._total - self._count)
-            print(
-                f"{self._title}: {self._count} of {self._total}, {left:.0f} s left",
-                file=sys.stderr,
-                flush=True,
-            )
+            told = f"{self._title}: {self._count} of {self._total}, {left:.0f} s left"
+            print(told, file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Remove the bar from the terminal."""

@@ -62,10 +62,8 @@ def check(
     reporter.result(_values(described, found, picture), _lines(described, found, picture))
     errors = sum(finding.level == "error" for finding in found.findings)
     if errors:
-        raise InputError(
-            f"{errors} error{'s' * (errors != 1)} in the robot's description, listed above",
-            where=robot,
-        )
+        what = f"{errors} error{'s' * (errors != 1)} in the robot's description, listed above"
+        raise InputError(what, where=robot)
     reporter.say("no errors")
 
 
@@ -98,14 +96,12 @@ def init(
     out = require_new(out or urdf.with_suffix(".yaml"), force, [urdf])
     data = first_guess(urdf, out, palm)
     write_text_atomic(out, as_yaml(data))
-    reporter.result(
-        {"out": out, **data},
-        [
-            f"{out}: {len(data['arm_joints'])} arm joints to {data['palm']['link']}, "
-            f"{len(data['hand_joints'])} hand joints beyond it, {len(data['closing_joints'])} of "
-            "them close"
-        ],
+    arm, hand, closing = (len(data[f"{part}_joints"]) for part in ("arm", "hand", "closing"))
+    palm = data["palm"]["link"]
+    line = (
+        f"{out}: {arm} arm joints to {palm}, {hand} hand joints beyond it, {closing} of them close"
     )
+    reporter.result({"out": out, **data}, [line])
     reporter.say(
         "check what is marked GUESSED there:\n"
         f"  rgrasp robot check {out} --picture {out.with_suffix('.png')}"

@@ -34,11 +34,8 @@ def stop_requests() -> Iterator[StopRequest]:
             signal.signal(name, handler)
 
     # What is ignored stays so: `nohup … &` in a script keeps Ctrl-C for the script's own commands.
-    heard = [
-        name
-        for name in (signal.SIGINT, signal.SIGTERM)
-        if signal.getsignal(name) is not signal.SIG_IGN
-    ]
+    both = (signal.SIGINT, signal.SIGTERM)
+    heard = [name for name in both if signal.getsignal(name) is not signal.SIG_IGN]
     before = {name: signal.signal(name, ask) for name in heard}
     try:
         yield request

@@ -85,10 +85,8 @@ def view(
         write_text_atomic(export, scene_page(scene))
         size = export.stat().st_size
         frames = f"{scene.frames} frames, " if scene.frames > 1 else ""
-        reporter.result(
-            {"written": export, "bytes": size, **facts},
-            [f"{export}: {frames}{size / 1e6:.1f} MB; open it in any browser"],
-        )
+        line = f"{export}: {frames}{size / 1e6:.1f} MB; open it in any browser"
+        reporter.result({"written": export, "bytes": size, **facts}, [line])
         return
     from pointsdf_cli.viz.viewer import Viewer
 
