@@ -52,6 +52,10 @@ class Clearances:
         if min(self.object, self.environment, self.self) < 0:
             raise InputError("a clearance is negative", where="--clearance", allowed="0 m or more")
 
+    def of_bodies(self, is_self: NDArray[np.bool_]) -> Array:
+        """Clearance [M] of distances between bodies, m; `is_self` [M] marks the robot's own."""
+        return np.where(is_self, self.self, self.environment)
+
 
 class Residuals(NamedTuple):
     """Slack at B configurations: smallest distance minus the clearance [m]; met if ≥ 0."""
@@ -94,7 +98,8 @@ class GraspProblem:
         # By index, not by name: an obstacle may have any name.
         count = len(self.object.names)
         self.is_object = np.arange(len(self.names)) < count
-        self._is_self = np.concatenate([np.zeros(count, bool), self.bodies.other_link != WORLD])
+        self._other = np.concatenate([self.object.other_link, self.bodies.other_link])
+        self._is_self = self._other != WORLD
         self.is_table = np.concatenate([np.zeros(count, bool), self.bodies.is_table])
         self._margin = self._margins()
         self._relevant = self._movable()
@@ -196,19 +201,14 @@ class GraspProblem:
 
     def _margins(self) -> Array:
         """Clearance of each distance, m."""
-        return np.select(
-            [self.is_object, self._is_self],
-            [self.clearances.object, self.clearances.self],
-            self.clearances.environment,
-        )
+        of_bodies = self.clearances.of_bodies(self._is_self)
+        return np.where(self.is_object, self.clearances.object, of_bodies)
 
     def _movable(self) -> NDArray[np.bool_]:
         """Mask of the distances that the variables can change."""
         moved = self.variables.derivatives(self._jacobian.moved.astype(float)) != 0
         link = np.concatenate([self.object.link, self.bodies.link])
-        none = np.full(len(self.object.link), WORLD)
-        other = np.concatenate([none, self.bodies.other_link])
-        return np.asarray((moved[link] != moved[other]).any(axis=1))
+        return np.asarray((moved[link] != moved[self._other]).any(axis=1))
 
     def _make_groups(self) -> list[NDArray[np.int64]]:
         """Columns by link and by the other body; the robot itself counts as one."""

@@ -30,6 +30,7 @@ class ObjectDistances:
 
     Attributes:
         link: [M], each patch's link.
+        other_link: [M], WORLD: the object is fixed.
         names: Each patch's (link, "object").
     """
 
@@ -37,6 +38,7 @@ class ObjectDistances:
         self.field, self._exact_to = field, exact_to
         patches, links = geometry.patches, geometry.kinematics.links
         self.link: Indices = patches.link
+        self.other_link: Indices = np.full(len(patches.link), WORLD)
         self.names = tuple((links[i], "object") for i in patches.link)
         self._points, self._centre, self._radius = patches.points, patches.centre, patches.radius
 
@@ -60,11 +62,9 @@ class ObjectDistances:
         normal = np.zeros_like(point)
         if gradients and len(near):
             _, normal[near] = self.field.with_gradient(point[near])
-        point = point.reshape(*shape, 3)
-        none = np.full(len(self.link), WORLD)
-        return Contacts(
-            distance.reshape(shape), self.link, point, normal.reshape(*shape, 3), none, point
-        )
+        distance, point = distance.reshape(shape), point.reshape(*shape, 3)
+        normal = normal.reshape(*shape, 3)
+        return Contacts(distance, self.link, point, normal, self.other_link, point)
 
     def by_link(self, poses: Poses) -> Array:
         """Distance [L] of each link of one configuration: the least of its samples; infinite for a

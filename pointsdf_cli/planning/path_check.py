@@ -65,16 +65,13 @@ class PathChecker:
         self._object = ObjectDistances(geometry, field)
         bodies = bodies or BodyDistances(geometry, environment or Environment())
         self._bodies = bodies.exact_up_to(EXACT_TO)
-        self._body_margin = np.where(
-            self._bodies.other_link != WORLD, clearances.self, clearances.environment
-        )
-        self._object_margin, self._with_object = clearances.object, True
-        self._object_columns = len(self._object.names)
+        self._with_object, self._object_columns = True, len(self._object.names)
         moved = ContactJacobian(kinematics).moved
         reach = geometry.reach
         first = np.concatenate([self._object.link, self._bodies.link])
-        none = np.full(self._object_columns, WORLD)
-        second = np.concatenate([none, self._bodies.other_link])
+        second = np.concatenate([self._object.other_link, self._bodies.other_link])
+        self._margin = clearances.of_bodies(second != WORLD)
+        self._margin[: self._object_columns] = clearances.object
         # A joint that moves both bodies, or none, does not move one against the other.
         farthest = np.where(moved[first], reach[first], 0.0)
         farthest = np.maximum(farthest, np.where(moved[second], reach[second], 0.0))
@@ -85,7 +82,8 @@ class PathChecker:
     def with_clearance(self, clearance: float) -> PathChecker:
         """A copy with another clearance to the object [m]."""
         other = copy(self)
-        other._object_margin = clearance
+        other._margin = self._margin.copy()
+        other._margin[: self._object_columns] = clearance
         return other
 
     def without_object(self) -> PathChecker:
@@ -136,7 +134,7 @@ class PathChecker:
         distances = np.stack([self._kept[key] for key in keys])
         for _ in range(len(self._kept) - KEPT):
             del self._kept[next(iter(self._kept))]
-        return np.asarray(distances - self._margins()[columns])
+        return np.asarray(distances - self._margin[columns])
 
     def _distances(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
         """Distances [K] of the pairs `columns` [K] at the configurations `rows` [K]."""
@@ -149,11 +147,6 @@ class PathChecker:
             if which.any():
                 distances[which] = source.of(poses, rows[which], columns[which] - first)
         return distances
-
-    def _margins(self) -> Array:
-        """Clearance of each pair [C], m."""
-        near = np.full(self._object_columns, self._object_margin)
-        return np.concatenate([near, self._body_margin])
 
     def is_free(self, path: Array) -> bool:
         """Whether the polyline path [T, J] in joint space is free all along."""
@@ -177,14 +170,14 @@ class PathChecker:
         doubt = _Doubt(
             way, columns[place], slacks[way, place], slacks[way + 1, place], motion[way, place]
         )
-        a, b, margins = path[:-1], path[1:], self._margins()
+        a, b = path[:-1], path[1:]
         while least >= 0 and len(doubt.way):
             ways, rows = np.unique(doubt.way, return_inverse=True)
             a, b = a[ways], b[ways]
             middle = (a + b) / 2
             poses = Poses(*self.kinematics.poses(middle))
             self.checked += len(middle)
-            slack = self._distances(poses, rows, doubt.pair) - margins[doubt.pair]
+            slack = self._distances(poses, rows, doubt.pair) - self._margin[doubt.pair]
             least = min(least, float(slack.min()))
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
             doubt = self._halved(doubt._replace(way=rows), len(ways), slack)
