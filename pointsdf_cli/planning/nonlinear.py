@@ -38,6 +38,10 @@ class Evaluation(NamedTuple):
         return np.maximum(0.0, -self.constraints.min(axis=1, initial=0.0))
 
 
+FEASIBLE = 1e-4
+"""Largest violation that counts as none."""
+
+
 class Problem(Protocol):
     """A batched nonlinear problem."""
 
@@ -71,6 +75,14 @@ class Solutions:
     violation: Array
     converged: NDArray[np.bool_]
     evaluations: int
+
+    @classmethod
+    def at(cls, x: Array, end: Evaluation, ended: NDArray[np.bool_], evaluations: int) -> Solutions:
+        """Solutions x [B, n] with the problem there; `ended` [B] marks starts whose solver could
+        improve them no more."""
+        violation = end.violation
+        converged = ended & (violation <= FEASIBLE)
+        return cls(x, end.objective, violation, converged, evaluations)
 
 
 class Solver(Protocol):

@@ -14,8 +14,6 @@ ITERATIONS = 100
 """Largest number of iterations of one start."""
 TOLERANCE = 1e-6
 """SciPy's `ftol`."""
-FEASIBLE = 1e-4
-"""Largest violation that counts as none."""
 
 
 class Slsqp:
@@ -26,14 +24,8 @@ class Slsqp:
         most = iterations or ITERATIONS
         results = [self._one(problem, start, most) for start in starts]
         x = np.array([r[0] for r in results]).reshape(starts.shape)
-        final = problem.evaluate_grouped(x)
-        return Solutions(
-            x=x,
-            objective=final.objective,
-            violation=final.violation,
-            converged=np.array([r[1] for r in results]) & (final.violation <= FEASIBLE),
-            evaluations=sum(r[2] for r in results),
-        )
+        ended = np.array([r[1] for r in results])
+        return Solutions.at(x, problem.evaluate_grouped(x), ended, sum(r[2] for r in results))
 
     def _one(self, problem: Problem, start: Array, iterations: int) -> tuple[Array, bool, int]:
         @lru_cache(maxsize=1)

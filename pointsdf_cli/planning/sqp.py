@@ -18,7 +18,7 @@ import numpy as np
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
-from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
+from pointsdf_cli.planning.nonlinear import FEASIBLE, Evaluation, Problem, Solutions
 from pointsdf_cli.planning.step_qp import StepQp
 
 LARGEST_RADIUS = 0.5
@@ -28,8 +28,6 @@ PENALTY = 1e3
 infeasible point."""
 LEAST_KEPT = 2
 """Smallest number of starts that always continue."""
-FEASIBLE = 1e-4
-"""Largest violation that counts as none."""
 DAMPING = 1e-3
 """Constant added to the Hessian model's diagonal."""
 
@@ -73,13 +71,7 @@ class Sqp:
                 search.end_worse(ends.index(turn) + 1)
             if not search.advance():
                 break
-        return Solutions(
-            x=search.x,
-            objective=search.now.objective,
-            violation=search.now.violation,
-            converged=search.done & (search.now.violation <= FEASIBLE),
-            evaluations=search.evaluations,
-        )
+        return Solutions.at(search.x, search.now, search.done, search.evaluations)
 
 
 class _Search:
