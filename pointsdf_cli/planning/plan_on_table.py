@@ -35,6 +35,7 @@ from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import OrderedObject, take_order
 from pointsdf_cli.planning.target import EmptyFieldError
+from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.start import start_configuration
 
 
@@ -142,15 +143,12 @@ def _require_lists(clouds: Sequence[Cloud], names: Sequence[str]) -> None:
         InputError: It was.
     """
     if isinstance(clouds, Cloud) or isinstance(names, str):
-        raise InputError(
-            "one cloud or name", where="clouds, names", allowed="lists: [cloud], ['name']"
-        )
+        allowed = "lists: [cloud], ['name']"
+        raise InputError("one cloud or name", where="clouds, names", allowed=allowed)
     if not len(clouds) or len(clouds) != len(names):
-        raise InputError(
-            f"{len(clouds)} clouds and {len(names)} names",
-            where="clouds, names",
-            allowed="a name for each cloud, one or more",
-        )
+        given = f"{len(clouds)} clouds and {len(names)} names"
+        allowed = "a name for each cloud, one or more"
+        raise InputError(given, where="clouds, names", allowed=allowed)
 
 
 def _plan(
@@ -176,16 +174,13 @@ def _plan_for(
     warn: Callable[[str], None] | None = None,
 ) -> TablePlan:
     """Plan for one object of a request, from the start q [J]."""
-    clouds, environment, segment = request.clouds, request.environment, request.segment
-    workspace, cleaned = workspace_of(request.workspace), request.cleaned
+    environment = request.environment
     try:
-        seen = look_at_table(
-            clouds, request.names, planner.robot, q, segment, target, workspace, cleaned
-        )
+        seen = look_for(target, request, planner.robot, q)
     except NoObjectError as error:
         return _without_object(planner, request, error, q)
     report = list(seen.report)
-    warnings = planner.doubts() + _warnings(seen, clouds, segment, environment.table)
+    warnings = planner.doubts() + _warnings(seen, request)
     unmodelled = outside_workspace([view for view, _ in seen.labelled], reach_of(planner.robot))
     warnings += [unmodelled] * bool(unmodelled)
     if warn is not None:
@@ -199,7 +194,7 @@ def _plan_for(
     beside = request.others and len(seen.others) > 0
     network = planner.shape if request.obstacles == RECONSTRUCTION else None
     if beside:
-        tasks += obstacle_tasks(seen, network, request.seed, cleaned)
+        tasks += obstacle_tasks(seen, network, request.seed, request.cleaned)
     perceived, *found = at_once(tasks)
     known = environment.obstacles
     others, seconds = named_obstacles(found, [obstacle.name for obstacle in known])
@@ -214,9 +209,17 @@ def _plan_for(
         answer = planner.plan_seen(perceived, environment, q, request.seed, notes=notes)
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
-    return TablePlan(
-        answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
-    )
+    obstacles = environment.obstacles
+    return TablePlan(answer, tuple(report), q, points, camera, obstacles, tuple(warnings))
+
+
+def look_for(
+    target: TargetChoice | None, request: PlanRequest, robot: RobotDescription, q: Array
+) -> TableTop:
+    """The table top in a request's clouds, with the robot at q [J]; see `look_at_table`."""
+    clouds, names, segment = request.clouds, request.names, request.segment
+    workspace, cleaned = workspace_of(request.workspace), request.cleaned
+    return look_at_table(clouds, names, robot, q, segment, target, workspace, cleaned)
 
 
 def _perceived(
@@ -239,9 +242,10 @@ def _without_object(
     return TablePlan(answer, said, q, world, camera, request.environment.obstacles)
 
 
-def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:
+def _warnings(seen: TableTop, request: PlanRequest) -> list[str]:
+    clouds, has_table = request.clouds, request.environment.table
     # A pose from the table has no height to be wrong by.
-    checked = segment == "auto" and has_table and not clouds[0].over_table
+    checked = request.segment == "auto" and has_table and not clouds[0].over_table
     off = table_doubt(seen.table_height, [in_world(each) for each in clouds]) if checked else ""
     height = (seen.table_height or 0.0) if has_table else None
     return [off] * bool(off) + doubts(seen.views, height)

@@ -17,11 +17,10 @@ from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.object_view import ObjectView
-from pointsdf_cli.planning.plan_on_table import answer_request
+from pointsdf_cli.planning.plan_on_table import answer_request, look_for
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest, PlanResult
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
-from pointsdf_cli.planning.table_top import look_at_table, workspace_of
 from pointsdf_cli.planning.variables import Variables
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.start import start_configuration
@@ -94,8 +93,7 @@ class Resident:
                 allowed=f"one grasp or more, of {len(joints)}: " + ", ".join(joints),
             )
         start = start_configuration(request.start, robot)
-        choice = request.segment, request.target, workspace_of(request.workspace), request.cleaned
-        seen = look_at_table(request.clouds, request.names, robot, start, *choice)
+        seen = look_for(request.target, request, robot, start)
         sight = planner.see(seen.views, request.seed, table=request.environment.table)
         variables = Variables(robot)
         with torch.no_grad():
