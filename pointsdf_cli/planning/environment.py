@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from pointsdf_cli.planning.robot_geometry import CollisionMesh
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
-KEYS = ("name", *SIZES, "mesh", "scale", "xyz", "wxyz")
+SHAPES = (*SIZES, "mesh")
+KEYS = ("name", *SHAPES, "scale", "xyz", "wxyz")
 
 
 @dataclass(frozen=True)
@@ -56,16 +57,14 @@ class Obstacle:
     prepared: CollisionMesh | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.kind not in (*SIZES, "mesh"):
-            raise InputError(f"no obstacle {self.kind!r}", allowed=", ".join((*SIZES, "mesh")))
+        if self.kind not in SHAPES:
+            raise InputError(f"no obstacle {self.kind!r}", allowed=", ".join(SHAPES))
         object.__setattr__(self, "pose", rigid(self.pose, f"pose of {self.name}"))
-        sizes = [0 < v < math.inf for v in self.size]  # False for NaN
-        if len(sizes) != SIZES.get(self.kind, 0) or not all(sizes):
-            raise InputError(
-                f"a {self.kind} of size {self.size}",
-                where=self.name,
-                allowed=f"{SIZES.get(self.kind, 0)} sizes above 0 m",
-            )
+        count = SIZES.get(self.kind, 0)
+        sound = all(0 < v < math.inf for v in self.size)  # False for NaN
+        if len(self.size) != count or not sound:
+            allowed = f"{count} sizes above 0 m"
+            raise InputError(f"a {self.kind} of size {self.size}", where=self.name, allowed=allowed)
         if (self.kind == "mesh") == (self.vertices is None or self.faces is None):
             raise InputError("only a mesh, and every mesh, has triangles", where=self.name)
 
@@ -95,11 +94,8 @@ class Environment:
     def __post_init__(self) -> None:
         names = [obstacle.name for obstacle in self.obstacles]
         if len(set(names)) != len(names) or "table" in names:
-            raise InputError(
-                "two obstacles share a name, or one is named table",
-                where=", ".join(names),
-                allowed="one name each",
-            )
+            wrong = "two obstacles share a name, or one is named table"
+            raise InputError(wrong, where=", ".join(names), allowed="one name each")
 
 
 def read_environment(path: Path | str) -> Environment:
@@ -126,11 +122,10 @@ def _obstacle(entry: Any, place: int, path: Path) -> Obstacle:
     where = f"{path}: obstacles[{place}]"
     if not isinstance(entry, Mapping) or set(entry) - set(KEYS):
         raise InputError("is not an obstacle", where=where, allowed="keys " + ", ".join(KEYS))
-    kinds = [kind for kind in (*SIZES, "mesh") if kind in entry]
+    kinds = [kind for kind in SHAPES if kind in entry]
     if len(kinds) != 1:
-        raise InputError(
-            f"has {len(kinds)} shapes", where=where, allowed="one of " + ", ".join((*SIZES, "mesh"))
-        )
+        allowed = "one of " + ", ".join(SHAPES)
+        raise InputError(f"has {len(kinds)} shapes", where=where, allowed=allowed)
     kind, name = kinds[0], str(entry.get("name", f"obstacle_{place}"))
     wxyz = _vector(entry, "wxyz", (1.0, 0.0, 0.0, 0.0), where)
     if abs(np.linalg.norm(wxyz) - 1) > 1e-3:
@@ -155,7 +150,6 @@ def _vector(entry: Mapping[str, Any], key: str, default: tuple[float, ...], wher
     except (TypeError, ValueError):
         numbers = np.empty(0)
     if len(numbers) != len(default) or not np.isfinite(numbers).all():
-        raise InputError(
-            f"`{key}` is {value!r}", where=where, allowed=f"{len(default)} finite number(s)"
-        )
+        allowed = f"{len(default)} finite number(s)"
+        raise InputError(f"`{key}` is {value!r}", where=where, allowed=allowed)
     return numbers

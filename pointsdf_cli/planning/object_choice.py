@@ -56,17 +56,14 @@ class TargetChoice:
     def __post_init__(self) -> None:
         given = [self.number, self.pixel, self.place, self.any or None]
         if sum(each is not None for each in given) != 1:
-            raise InputError(
-                "not one choice", where="TargetChoice", allowed="number, pixel, place or any"
-            )
+            allowed = "number, pixel, place or any"
+            raise InputError("not one choice", where="TargetChoice", allowed=allowed)
         for numbers, count in ((self.pixel, 2), (self.place, 3)):
             if numbers is not None and not _are_finite(numbers, count):
-                raise InputError(
-                    f"{numbers!r} is no place of an object",
-                    where="target",
-                    allowed="[3], a place in the world, m; or TargetChoice(number=…, pixel=(u, v), "
-                    "any=True)",
-                )
+                others = "TargetChoice(number=…, pixel=(u, v), any=True)"
+                allowed = f"[3], a place in the world, m; or {others}"
+                wrong = f"{numbers!r} is no place of an object"
+                raise InputError(wrong, where="target", allowed=allowed)
 
 
 @dataclass(frozen=True)
@@ -210,9 +207,8 @@ def choose(
     if target is None:
         return objects[0]
     if target.any:
-        raise InputError(
-            "`any` does not name one object", where="--target", allowed="a number, U,V or X,Y,Z"
-        )
+        wrong, allowed = "`any` does not name one object", "a number, U,V or X,Y,Z"
+        raise InputError(wrong, where="--target", allowed=allowed)
     if target.number is not None:
         return _of_number(objects, target.number, where)
     by_label = {item.label: item for item in objects}
@@ -227,21 +223,17 @@ def choose(
             )
         away = np.linalg.norm(pixels[mine] - np.asarray(target.pixel), axis=1)
         if away.min() > PIXEL_REACH:
-            raise NoObjectError(
-                f"no object at the pixel {target.pixel[0]:g},{target.pixel[1]:g}: the nearest one "
-                f"is {away.min():.0f} pixels away",
-                where=where,
-                hint="rgrasp segment, with the same options, shows what there is",
-            )
+            wrong = "no object at the pixel {:g},{:g}".format(*target.pixel)
+            nearest = f"the nearest one is {away.min():.0f} pixels away"
+            hint = "rgrasp segment, with the same options, shows what there is"
+            raise NoObjectError(f"{wrong}: {nearest}", where=where, hint=hint)
     else:
         away = np.linalg.norm(points[mine] - np.asarray(target.place), axis=1)
         if away.min() > TARGET_REACH:
-            raise NoObjectError(
-                f"the object nearest to --target is {away.min():.2f} m away from it",
-                where=where,
-                hint=f"give a place within {TARGET_REACH:g} m of an object in the world; rgrasp "
-                "segment, with the same options, lists them",
-            )
+            wrong = f"the object nearest to --target is {away.min():.2f} m away from it"
+            advice = f"give a place within {TARGET_REACH:g} m of an object in the world"
+            hint = f"{advice}; rgrasp segment, with the same options, lists them"
+            raise NoObjectError(wrong, where=where, hint=hint)
     return by_label[int(label[mine][away.argmin()])]
 
 

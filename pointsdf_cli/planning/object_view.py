@@ -95,23 +95,15 @@ class MeshSettings:
         if segment == "none":
             for option in ("target", "robot", "start", "workspace"):
                 if getattr(self, option) is not None:
-                    raise InputError(
-                        f"--{option} without --segment auto", hint="add --segment auto"
-                    )
+                    wrong = f"--{option} without --segment auto"
+                    raise InputError(wrong, hint="add --segment auto")
             return bare_view(path, files, pose, self.cleaned)
         corners = None if self.workspace is None else box(self.workspace, "--workspace")
         # The object is wanted in the camera's frame: where the robot is does not matter.
         over_table = pose is None and is_depth_image(path, files.intrinsics)
-        seen = segmented_view(
-            path,
-            files,
-            "table" if over_table else pose,
-            self.target,
-            self.robot,
-            corners,
-            self.cleaned,
-            self.start,
-        )
+        pose = "table" if over_table else pose
+        options = self.target, self.robot, corners, self.cleaned, self.start
+        seen = segmented_view(path, files, pose, *options)
         if not over_table:
             return seen
         from pointsdf_cli.planning.scene_input import FROM_TABLE
@@ -264,17 +256,9 @@ def segmented_cloud(
 
     require_pose(cloud, name)
     require_table_at_zero([in_world(cloud)], [name], "--segment none")
+    there = None if cloud.over_table else robot  # where it will stand does not matter here
+    q = robot.home if q is None else q
     with as_input_error(kind=NoObjectError):
-        found = look_at_table(
-            [cloud],
-            [name],
-            None if cloud.over_table else robot,  # where it will stand does not matter here
-            robot.home if q is None else q,
-            target=target,
-            workspace=workspace,
-            cleaned=cleaned,
-        )
-    view = found.views[0]
-    return ObjectView(
-        view.points, cloud.in_camera_frame()[1], cloud.frame, found.report, False, view.evidence
-    )
+        found = look_at_table([cloud], [name], there, q, "auto", target, workspace, cleaned)
+    (view,), (_, pose) = found.views, cloud.in_camera_frame()
+    return ObjectView(view.points, pose, cloud.frame, found.report, False, view.evidence)

@@ -36,11 +36,8 @@ def check_distance(name: str, value: float) -> None:
         InputError: Negative, or above `LARGEST_CLEARANCE`.
     """
     if not 0 <= value <= LARGEST_CLEARANCE:
-        raise InputError(
-            f"a {name} of {value:g} m",
-            where=f"--{name}",
-            allowed=f"0 m or more, at most {LARGEST_CLEARANCE:g} m",
-        )
+        allowed = f"0 m or more, at most {LARGEST_CLEARANCE:g} m"
+        raise InputError(f"a {name} of {value:g} m", where=f"--{name}", allowed=allowed)
 
 
 def check_segment(segment: str, target: bool, workspace: bool) -> None:

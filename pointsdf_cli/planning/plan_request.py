@@ -56,9 +56,8 @@ class PlanChoices:
             option_checks.check_distance("clearance", self.clearance)
         least = self.min_success
         if least is not None and not 0 <= least < 1:
-            raise InputError(
-                f"{least} is not a probability", where="--min-success", allowed="0 ≤ p < 1"
-            )
+            wrong = f"{least} is not a probability"
+            raise InputError(wrong, where="--min-success", allowed="0 ≤ p < 1")
 
     def acceptance(self) -> AcceptanceConfig:
         """Default thresholds, or `min_success` as the least probability, of fallbacks too."""
@@ -109,9 +108,8 @@ class PlanRequest:
             InputError: Options exclude each other, or a cloud has no pose, another unit than
                 metres, or too few points.
         """
-        option_checks.check_segment(
-            self.segment, self.target is not None, self.workspace is not None
-        )
+        has_target, has_workspace = self.target is not None, self.workspace is not None
+        option_checks.check_segment(self.segment, has_target, has_workspace)
         require_choice(self.obstacles, choices.Obstacles, "--obstacles")
         check = check_object_cloud if self.segment == "none" else check_scene_cloud
         for cloud, name in zip(self.clouds, self.names, strict=True):
@@ -160,6 +158,5 @@ def headline(plan: Plan) -> str:
 
 def as_sentences(warnings: Sequence[str]) -> str:
     """Join warnings to the text stored in a plan."""
-    return " ".join(
-        f"{each[0].upper()}{each[1:]}{'' if each[-1] in '.?' else '.'}" for each in warnings
-    )
+    ended = (each if each[-1] in ".?" else f"{each}." for each in warnings)
+    return " ".join(f"{each[0].upper()}{each[1:]}" for each in ended)

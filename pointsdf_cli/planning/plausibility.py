@@ -72,13 +72,12 @@ def require_table_at_zero(
     for world, name in zip(worlds, names, strict=True):
         wrong = _wrong_table(world)
         if wrong:
-            raise InputError(
-                f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong",
-                where=name,
-                allowed="a level table at z = 0",
-                hint="check --depth-scale, --intrinsics, then --camera-pose; if only the pose is "
-                f"unknown: --camera-pose table. If there is no table: {without_table}",
+            message = f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong"
+            hint = (
+                "check --depth-scale, --intrinsics, then --camera-pose; if only the pose is "
+                f"unknown: --camera-pose table. If there is no table: {without_table}"
             )
+            raise InputError(message, where=name, allowed="a level table at z = 0", hint=hint)
 
 
 def _wrong_table(world: Array) -> str:
@@ -106,19 +105,16 @@ def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
         worlds: Points [N, 3] of each view in the world, m.
     """
     if height is not None and abs(height) > UNEVEN:
-        return (
-            f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
-            "camera's pose is wrong" + ("; the robot keeps above it" if height > 0 else "")
-        )
+        seen = f"the table is seen at z = {height * 1000:.0f} mm, not 0"
+        above = "; the robot keeps above it" if height > 0 else ""
+        return f"{seen}: it is uneven, or the camera's pose is wrong{above}"
     if height is not None:
         return ""
     heights = np.concatenate(worlds)[:, 2]
     below = float((heights < -BELOW).mean())
     if below > MUCH:
-        return (
-            f"no table is seen at z = 0, and {below:.0%} of the points lie below it: check the "
-            "camera's pose"
-        )
+        seen = f"no table is seen at z = 0, and {below:.0%} of the points lie below it"
+        return f"{seen}: check the camera's pose"
     nothing = not (np.abs(heights) < BELOW).any()
     return "nothing is seen at z = 0, the table: check the camera's pose" if nothing else ""
 
@@ -169,10 +165,9 @@ def outside_workspace(labelled: Sequence[LabelledView], reach: Reach) -> str:
     if near.sum() < MANY:
         return ""
     x, y, z = np.median(points[near], axis=0)
-    return (
-        f"something around {x:.2f},{y:.2f},{z:.2f} m is within the arm's reach but outside the "
-        "workspace, so it is no obstacle: name it with --environment, or widen --workspace"
-    )
+    there = f"around {x:.2f},{y:.2f},{z:.2f} m is within the arm's reach but outside the workspace"
+    advice = "name it with --environment, or widen --workspace"
+    return f"something {there}, so it is no obstacle: {advice}"
 
 
 def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
@@ -198,10 +193,9 @@ def below_table(view: View, table: float) -> str:
     height = float(view.T_world_camera[2, 3]) - table
     if height > -BELOW:
         return ""
-    return (
-        f"the camera stands {-100 * height:.0f} cm below the table and looks up through it: check "
-        "its pose (--camera-pose is the camera in the world, not the world in the camera)"
-    )
+    seen = f"the camera stands {-100 * height:.0f} cm below the table and looks up through it"
+    meaning = "--camera-pose is the camera in the world, not the world in the camera"
+    return f"{seen}: check its pose ({meaning})"
 
 
 def in_the_air(views: Sequence[View], table: float) -> str:
@@ -213,10 +207,8 @@ def in_the_air(views: Sequence[View], table: float) -> str:
     level = [way for way in ways if np.arctan2(way[2], np.linalg.norm(way[:2])) < STEEP]
     if gap < ABOVE or not level:
         return ""
-    return (
-        f"the object's lowest seen point is {100 * gap:.0f} cm above the table: does it float, "
-        "does something hide its foot, or is the camera's pose wrong?"
-    )
+    seen = f"the object's lowest seen point is {100 * gap:.0f} cm above the table"
+    return f"{seen}: does it float, does something hide its foot, or is the camera's pose wrong?"
 
 
 def from_inside(view: View) -> str:
@@ -251,9 +243,8 @@ def seen_through(views: Sequence[View]) -> str:
         points = apply_transform(invert_transform(one.T_world_camera), other.in_world)
         points = points[points[:, 2] > 0]
         left, top, width, height = image.window
-        cell = np.floor(
-            (points[:, :2] / points[:, 2:] - (left, top)) / (width, height) * len(image.seen)
-        ).astype(np.int64)
+        place = (points[:, :2] / points[:, 2:] - (left, top)) / (width, height)
+        cell = np.floor(place * len(image.seen)).astype(np.int64)
         inside = ((cell >= 0) & (cell < len(image.seen))).all(axis=1)
         if inside.any():
             column, row = cell[inside].T

@@ -9,6 +9,7 @@ solution would fail for a low success probability.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import add
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
@@ -74,9 +75,7 @@ class SeedStatistics:
     itself: int = 0
 
     def __add__(self, other: SeedStatistics) -> SeedStatistics:
-        return SeedStatistics(
-            *(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True))
-        )
+        return SeedStatistics(*map(add, vars(self).values(), vars(other).values()))
 
     @property
     def in_the_way(self) -> str:
@@ -121,10 +120,9 @@ def why_none(
     if statistics.is_hardly_free:
         met = statistics.in_the_way
         reason, what, advice = COLLISIONS[met]
-        return reason, (
-            f"Of {statistics.reached} reachable grasps {getattr(statistics, met)} enter {what} "
-            f"({statistics.free} free): {advice}."
-        )
+        reached, free, entering = statistics.reached, statistics.free, getattr(statistics, met)
+        sentence = f"Of {reached} reachable grasps {entering} enter {what} ({free} free): {advice}."
+        return reason, sentence
     return miss.reason, explain(miss.reason, miss, seeds_tried, config)
 
 
@@ -141,25 +139,19 @@ def few_grasps(learned_from: int | None) -> list[str]:
     `learned_from` is None."""
     if learned_from is None or learned_from >= FEW_GRASPS:
         return []
-    return [
-        f"the success network learned from {learned_from} grasps only, fewer than {FEW_GRASPS}: "
-        "its probabilities say little"
-    ]
+    few = f"learned from {learned_from} grasps only, fewer than {FEW_GRASPS}"
+    return [f"the success network {few}: its probabilities say little"]
 
 
 def warning(chosen: Candidate, seeds_tried: int) -> str:
     """Warning for a plan whose grasp would not have been accepted."""
     if chosen.closing_slack < 0:
-        return (
-            f"Of {seeds_tried} grasps none closes clear of obstacles; this one comes "
-            f"{-chosen.closing_slack * 1000:.0f} mm too near. Clear the space around the "
-            "object, or turn it."
-        )
-    return (
-        f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing, "
-        f"predicted to hold with probability {chosen.success:.2f} only. Turn the object, or look "
-        "at it from another side."
-    )
+        none = f"Of {seeds_tried} grasps none closes clear of obstacles"
+        best = f"this one comes {-chosen.closing_slack * 1000:.0f} mm too near"
+        return f"{none}; {best}. Clear the space around the object, or turn it."
+    none = f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing"
+    best = f"predicted to hold with probability {chosen.success:.2f} only"
+    return f"{none}, {best}. Turn the object, or look at it from another side."
 
 
 def explain(

@@ -90,18 +90,12 @@ def read_scene(
             or a pose is right only in another convention (`pose_mistakes.py`).
     """
     if poses and len(poses) != len(paths):
-        raise InputError(
-            f"{len(poses)} for {len(paths)} views",
-            where="--camera-pose",
-            allowed="one for each, in order",
-        )
+        given = f"{len(poses)} for {len(paths)} views"
+        raise InputError(given, where="--camera-pose", allowed="one for each, in order")
     places = [table_place(text) for text in poses]
     if len(paths) > 1 and any(place is not None for place in places):
-        raise InputError(
-            "table, with several cameras",
-            where="--camera-pose",
-            allowed="one camera: the table does not tell the poses of several to each other",
-        )
+        one = "one camera: the table does not tell the poses of several to each other"
+        raise InputError("table, with several cameras", where="--camera-pose", allowed=one)
     wanted = parse_target(target)
     clouds, notes = [], []
     for k, (path, option) in enumerate(zip(paths, options, strict=True)):
@@ -130,21 +124,17 @@ def _require_pixel_within(target: TargetChoice | None, cloud: Cloud) -> None:
     height, width = cloud.image.depth.shape
     u, v = target.pixel
     if not (0 <= u < width and 0 <= v < height):
-        raise InputError(
-            f"the pixel {u:g},{v:g} is outside of the image",
-            where="--target",
-            allowed=f"U from 0 to {width - 1}, V from 0 to {height - 1}",
-        )
+        outside = f"the pixel {u:g},{v:g} is outside of the image"
+        allowed = f"U from 0 to {width - 1}, V from 0 to {height - 1}"
+        raise InputError(outside, where="--target", allowed=allowed)
 
 
 def table_note(cloud: Cloud, place: tuple[float, float]) -> str:
     """Note on a pose that was made from the table."""
     assert cloud.T_world_camera is not None
-    height = cloud.T_world_camera[2, 3]
-    return (
-        f"{FROM_TABLE}: z = 0 is the table ({height:.2f} m below the camera), the "
-        f"object at {place[0]:g},{place[1]:g}. Only for trying out: do not send it to a robot"
-    )
+    zero = f"z = 0 is the table ({cloud.T_world_camera[2, 3]:.2f} m below the camera)"
+    there = f"the object at {place[0]:g},{place[1]:g}"
+    return f"{FROM_TABLE}: {zero}, {there}. Only for trying out: do not send it to a robot"
 
 
 def stand_on_table(
@@ -171,11 +161,8 @@ def stand_on_table(
         InputError: No table is seen, or the target is a place in a world that is not known yet.
     """
     if target is not None and target.place is not None:
-        raise InputError(
-            "a place in the world, which is not known before --camera-pose table has made it",
-            where="--target",
-            allowed="an object's number, or a pixel U,V",
-        )
+        unknown = "a place in the world, which is not known before --camera-pose table has made it"
+        raise InputError(unknown, where="--target", allowed="an object's number, or a pixel U,V")
     with as_input_error(name):
         points, _ = check_scene_cloud(cloud, name).in_camera_frame()
         cloud = replace(cloud, points=points, frame="camera", T_world_camera=None)
@@ -239,9 +226,8 @@ def depth_view(
         InputError: A file cannot be read, or no point is left.
     """
     place = None if pose is None else table_place(pose)
-    made = read_view(
-        path, options, None if pose is None or place is not None else camera_pose(pose)
-    )
+    known = None if pose is None or place is not None else camera_pose(pose)
+    made = read_view(path, options, known)
     for note in made.notes:
         say(f"{path}: {note}")
     if place is not None:

@@ -107,10 +107,8 @@ def label_table(
     usable = check_scene_cloud(cloud, name)
     if robot is None:
         return label_view(usable, name, workspace, cleaned=cleaned)
-    own = robot_points(robot, q)
-    return label_view(
-        usable, name, workspace, lambda world: ~off_robot(world, own), reach_of(robot), cleaned
-    )
+    own, reach = robot_points(robot, q), reach_of(robot)
+    return label_view(usable, name, workspace, lambda world: ~off_robot(world, own), reach, cleaned)
 
 
 def look_at_table(
@@ -141,16 +139,15 @@ def look_at_table(
         NoObjectError: No cloud shows an object, with the first one's reason.
     """
     check_segment(segment, target is not None, workspace is not WORKSPACE)
-    wanted = (
-        target if isinstance(target, TargetChoice) or target is None else TargetChoice(place=target)
-    )
+    if not (target is None or isinstance(target, TargetChoice)):
+        target = TargetChoice(place=target)
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
     views = (
         label_table(cloud, name, robot, start, workspace, cleaned)
         for cloud, name in zip(clouds, names, strict=True)
     )
-    return _look(views, wanted, workspace, cleaned)
+    return _look(views, target, workspace, cleaned)
 
 
 def _look(
@@ -214,20 +211,16 @@ def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: st
     if first is None:
         if (width := level_width(in_world)) <= WIDEST:
             return
-        raise NoObjectError(
-            f"what is seen there is {width:.2f} m wide or more in every direction: no hand "
-            "reaches around that",
-            where=name,
-            hint="--target names another object, --mask a part of it",
-        )
+        wide = f"what is seen there is {width:.2f} m wide or more in every direction"
+        hint = "--target names another object, --mask a part of it"
+        raise NoObjectError(f"{wide}: no hand reaches around that", where=name, hint=hint)
     to_object, to_others = (
         float(scipy.spatial.cKDTree(seen).query(in_world)[0].min()) if len(seen) else np.inf
         for seen in first
     )
     if to_object > min(SAME_THING, to_others):
-        raise NoObjectError(
-            f"what is nearest to the object is {to_object:.2f} m away from it", where=name
-        )
+        away = f"what is nearest to the object is {to_object:.2f} m away from it"
+        raise NoObjectError(away, where=name)
 
 
 def table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
@@ -254,13 +247,13 @@ def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) 
         points, said = bare_object(check_object_cloud(masked(cloud), name), cleaned)
         width = level_width(apply_transform(cloud.T_world_camera, points))
         if width > WIDEST:
-            raise InputError(
-                f"the cloud is {width:.2f} m wide or more in every direction: no hand reaches "
-                "around that, and it is more often a whole table than one object",
-                where=name,
-                allowed=f"one object, less than {WIDEST:g} m wide in some direction",
-                hint="leave --segment none out",
+            wide = f"the cloud is {width:.2f} m wide or more in every direction"
+            doubt = (
+                "no hand reaches around that, and it is more often a whole table than one object"
             )
+            allowed = f"one object, less than {WIDEST:g} m wide in some direction"
+            hint = "leave --segment none out"
+            raise InputError(f"{wide}: {doubt}", where=name, allowed=allowed, hint=hint)
         views.append(View(points, cloud.T_world_camera))
         report.append(f"{name}: {said or f'all {len(points)} points are the object'}")
     return TableTop(tuple(views), np.zeros((0, 3)), tuple(report), None)
