@@ -16,7 +16,7 @@ import numpy as np
 from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
-from pointsdf_cli.planning.fields import RefinedField
+from pointsdf_cli.planning.fields import cautious
 from pointsdf_cli.planning.robot_geometry import PATCH, RobotGeometry
 
 
@@ -70,9 +70,8 @@ class ObjectDistances:
         """Distance [L] of each link of one configuration: the least of its samples; infinite for a
         link without samples."""
         rotation, position = poses.rotation[0, self.link], poses.position[0, self.link]
-        field = self.field
-        below = field.cautious() if isinstance(field, RefinedField) else field
-        centres = below((rotation @ self._centre[:, :, None])[..., 0] + position)
+        places = (rotation @ self._centre[:, :, None])[..., 0] + position
+        centres = cautious(self.field)(places)
         bound = centres - self._radius
         least = np.full(poses.rotation.shape[1], np.inf)
         # Each link's patch of the lowest bound first: most others are then known to be farther.

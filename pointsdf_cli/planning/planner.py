@@ -20,7 +20,7 @@ from pointsdf_cli.planning.antipodal import antipodal_grasps
 from pointsdf_cli.planning.approach import with_arm
 from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import RefinedField
+from pointsdf_cli.planning.fields import RefinedField, cautious
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridField
 from pointsdf_cli.planning.likeliest import PREFERRED_SLACK
@@ -184,11 +184,8 @@ class Planner:
         environment = environment or Environment()
         start = self.robot.home if start is None else np.asarray(start, dtype=np.float64)
         if start.shape != self.robot.home.shape:
-            raise InputError(
-                f"{start.size} joint positions",
-                where="--start",
-                allowed=f"{len(self.robot.home)}: " + ", ".join(self.robot.joint_names),
-            )
+            allowed = f"{len(self.robot.home)}: " + ", ".join(self.robot.joint_names)
+            raise InputError(f"{start.size} joint positions", where="--start", allowed=allowed)
         began = time.perf_counter()
         problems, field_time = timed(self.problems, target, environment)
         rng, pairs = np.random.default_rng(seed), np.random.default_rng((seed, PAIRS))
@@ -198,14 +195,9 @@ class Planner:
         timings["configuration"] = time.perf_counter() - began
         # A few configurations at a time: nothing to share out between threads.
         with lap(timings, "motion"), one_thread():
-            field = problems.polish.object.field
-            checker = PathChecker(
-                self.geometry,
-                field.cautious() if isinstance(field, RefinedField) else field,
-                environment,
-                self.config.clearances,
-                bodies=problems.polish.bodies,
-            )
+            below, bodies = cautious(problems.polish.object.field), problems.polish.bodies
+            clearances = self.config.clearances
+            checker = PathChecker(self.geometry, below, environment, clearances, bodies)
             best, motion, found = self._with_motion(checker, found, start, seed)
         return Outcome(problems.polish, self.inverse.chain, found, best, motion, timings)
 
@@ -239,11 +231,9 @@ class Planner:
         best = [*found.accepted, *found.fallbacks]
         failure = ""
         stuck: dict[int, Motion] = {}
-        searches = chain(
-            self._searches(checker, found.accepted),
-            self._searches(checker, found.fallbacks, first=len(found.accepted)),
-        )
-        for k, asked, effort in searches:
+        wanted = self._searches(checker, found.accepted)
+        others = self._searches(checker, found.fallbacks, first=len(found.accepted))
+        for k, asked, effort in chain(wanted, others):
             if k in stuck:
                 continue
             candidate = best[k]
@@ -270,10 +260,9 @@ class Planner:
         """Joint path [K, J] by which the arm raises the hand from a grasp, touching nothing but the
         object; None if it cannot."""
         beside = checker.without_object()  # the object comes along
-        whole = partial(with_arm, self.robot, candidate.q)
-        path = lift_path(
-            self.inverse.chain, candidate.q, free=lambda path: beside.is_free(whole(path))
-        )
+        q = candidate.q
+        whole = partial(with_arm, self.robot, q)
+        path = lift_path(self.inverse.chain, q, free=lambda path: beside.is_free(whole(path)))
         return None if path is None else whole(path)
 
 
@@ -292,8 +281,5 @@ def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int
 
 def _passed(candidates: list[Candidate], stuck: Container[int]) -> list[Candidate]:
     """Candidates without a motion or a lift; fallbacks are among the rejected already."""
-    return [
-        replace(c, reason="lift" if k in stuck else "motion")
-        for k, c in enumerate(candidates)
-        if not c.reason
-    ]
+    passed = [(k, one) for k, one in enumerate(candidates) if not one.reason]
+    return [replace(one, reason="lift" if k in stuck else "motion") for k, one in passed]
