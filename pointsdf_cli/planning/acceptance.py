@@ -36,11 +36,9 @@ class AcceptanceConfig:
 
     def __post_init__(self) -> None:
         if not (0 <= self.least <= self.success < 1 and 0 <= self.floor < 1):
-            raise InputError(
-                f"a probability of success of at least {self.least:g}, good above {self.success:g}",
-                where="--min-success",
-                allowed="0 ≤ least ≤ good < 1",
-            )
+            bounds = f"at least {self.least:g}, good above {self.success:g}"
+            given, allowed = f"a probability of success of {bounds}", "0 ≤ least ≤ good < 1"
+            raise InputError(given, where="--min-success", allowed=allowed)
         if not self.objective > 0:
             raise InputError(f"a largest objective of {self.objective:g}", allowed="above 0")
 

@@ -22,10 +22,7 @@ def require_pose(cloud: Cloud, name: str) -> None:
         InputError: The pose is not known.
     """
     if cloud.T_world_camera is None:
-        raise InputError(
-            "the camera's pose is not known",
-            where=name,
-            allowed="--camera-pose (the camera in the world), or `T_world_camera` in a PLY header",
-            hint="add --camera-pose T.json (`rgrasp calibrate` makes one); to try things out "
-            "without a robot: --camera-pose table",
-        )
+        allowed = "--camera-pose (the camera in the world), or `T_world_camera` in a PLY header"
+        option = "add --camera-pose T.json (`rgrasp calibrate` makes one)"
+        hint = f"{option}; to try things out without a robot: --camera-pose table"
+        raise InputError("the camera's pose is not known", where=name, allowed=allowed, hint=hint)

@@ -54,17 +54,10 @@ def complete_mesh(
         model, view.points, np.zeros(3), seed=choices.seed, evidence=view.evidence
     ).in_precision(low_precision)
     try:
-        made = mesh_reconstruction(
-            reconstruction,
-            choices.resolution,
-            0.0 if choices.all_parts else 0.05,
-            choices.smooth,
-            exact=choices.exact,
-        )
+        least, smooth, exact = 0.0 if choices.all_parts else 0.05, choices.smooth, choices.exact
+        made = mesh_reconstruction(reconstruction, choices.resolution, least, smooth, exact=exact)
     except EmptySurfaceError as error:
-        raise EmptySurfaceError(
-            "the network sees nothing solid in this cloud, so there is no mesh",
-            where=name,
-            hint="check that the cloud shows one object, in metres, in the camera's frame",
-        ) from error
+        nothing = "the network sees nothing solid in this cloud, so there is no mesh"
+        hint = "check that the cloud shows one object, in metres, in the camera's frame"
+        raise EmptySurfaceError(nothing, where=name, hint=hint) from error
     return CompletedMesh(made, reconstruction, time.perf_counter() - started)

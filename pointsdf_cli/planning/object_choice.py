@@ -215,12 +215,12 @@ def choose(
     mine = np.isin(label, list(by_label))
     if target.pixel is not None:
         if pixels is None:
-            raise InputError(
+            missing, allowed = (
                 "a pixel, but the cloud has no image",
-                where="--target",
-                allowed="a number, or X,Y,Z in the world",
-                hint="add --intrinsics K.json, or give the depth image instead of the cloud",
+                "a number, or X,Y,Z in the world",
             )
+            hint = "add --intrinsics K.json, or give the depth image instead of the cloud"
+            raise InputError(missing, where="--target", allowed=allowed, hint=hint)
         away = np.linalg.norm(pixels[mine] - np.asarray(target.pixel), axis=1)
         if away.min() > PIXEL_REACH:
             wrong = "no object at the pixel {:g},{:g}".format(*target.pixel)

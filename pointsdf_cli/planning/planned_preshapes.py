@@ -49,12 +49,10 @@ class PlannedPreshapes:
         robot = load_robot(options.robot)
         success = options.grasp_checkpoint or bundled_success(robot)
         if success is None:
-            raise InputError(
-                f"no success network for {robot.name} is bundled",
-                where="--grasp-checkpoint",
-                allowed="a checkpoint of train-gs",
-                hint="collect heuristic grasps and train one first",
-            )
+            none = f"no success network for {robot.name} is bundled"
+            allowed = "a checkpoint of train-gs"
+            hint = "collect heuristic grasps and train one first"
+            raise InputError(none, where="--grasp-checkpoint", allowed=allowed, hint=hint)
         shape = options.checkpoint or reconstruction_for(success)
         return {"reconstruction": weights_hash(shape), "success": weights_hash(success)}
 

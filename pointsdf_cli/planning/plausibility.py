@@ -253,10 +253,9 @@ def seen_through(views: Sequence[View]) -> str:
             worst = max(worst, float(past.sum()) / len(other.in_world))
     if worst < MUCH_THROUGH:
         return ""
-    return (
-        f"{worst:.0%} of the points that one camera sees on the object lie where another saw past "
-        "it: is a pose wrong, are the poses in the order of the images, has the object moved?"
-    )
+    seen = f"{worst:.0%} of the points that one camera sees on the object"
+    doubt = "is a pose wrong, are the poses in the order of the images, has the object moved?"
+    return f"{seen} lie where another saw past it: {doubt}"
 
 
 def in_parts(world: Array) -> str:
@@ -267,10 +266,9 @@ def in_parts(world: Array) -> str:
         return ""
     centres = np.stack([world[label == k].mean(axis=0) for k in large])
     away = max(float(np.linalg.norm(a - b)) for a in centres for b in centres)
-    return (
-        f"the object's points lie in {len(large)} parts up to {100 * away:.0f} cm apart: with "
-        "--segment none they are taken for one object; --segment auto takes one of them"
-    )
+    apart = f"the object's points lie in {len(large)} parts up to {100 * away:.0f} cm apart"
+    now = "with --segment none they are taken for one object"
+    return f"{apart}: {now}; --segment auto takes one of them"
 
 
 def _ball(points: Array) -> tuple[Array, float] | None:

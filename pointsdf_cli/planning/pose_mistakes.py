@@ -73,15 +73,11 @@ def require_no_mistaken_pose(cloud: Cloud, name: str) -> None:
         corrected_tilt, corrected_height = _table(plane, right)
         if corrected_tilt < LEVEL and abs(corrected_height) < AT_ZERO:
             numbers = [*right[:3, 3], *wxyz_from_rotation(right[:3, :3])]
-            typed = ",".join(f"{number + 0.0:.6g}" for number in numbers)
-            raise InputError(
-                f"the camera's pose tilts the table that it sees by {np.rad2deg(tilt):.0f}°; "
-                f"{mistake}",
-                where=name,
-                allowed="the camera in the world, OpenCV axes (z forward, y down), quaternion "
-                "scalar first, the table level at z = 0",
-                hint=f"--camera-pose {typed}",
-            )
+            hint = "--camera-pose " + ",".join(f"{number + 0.0:.6g}" for number in numbers)
+            tilted = f"the camera's pose tilts the table that it sees by {np.rad2deg(tilt):.0f}°"
+            convention = "OpenCV axes (z forward, y down), quaternion scalar first"
+            allowed = f"the camera in the world, {convention}, the table level at z = 0"
+            raise InputError(f"{tilted}; {mistake}", where=name, allowed=allowed, hint=hint)
 
 
 def _table(plane: Array, pose: Array) -> tuple[float, float]:

@@ -128,10 +128,9 @@ def why_none(
 
 def too_large(width: float, span: float) -> tuple[str, str]:
     """Reason code and sentence for an object of least width `width` and a hand of `span` [m]."""
-    return "object_collision", (
-        f"The object is {width * 100:.0f} cm wide where it is narrowest, larger than the open hand "
-        f"({span * 100:.0f} cm): it cannot be grasped as a whole."
-    )
+    wide = f"The object is {width * 100:.0f} cm wide where it is narrowest"
+    hand = f"larger than the open hand ({span * 100:.0f} cm)"
+    return "object_collision", f"{wide}, {hand}: it cannot be grasped as a whole."
 
 
 def few_grasps(learned_from: int | None) -> list[str]:

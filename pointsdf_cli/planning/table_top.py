@@ -143,10 +143,8 @@ def look_at_table(
         target = TargetChoice(place=target)
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
-    views = (
-        label_table(cloud, name, robot, start, workspace, cleaned)
-        for cloud, name in zip(clouds, names, strict=True)
-    )
+    named = zip(clouds, names, strict=True)
+    views = (label_table(*each, robot, start, workspace, cleaned) for each in named)
     return _look(views, target, workspace, cleaned)
 
 
