@@ -68,9 +68,8 @@ def antipodal_pairs(surface: Surface, widest: float, rng: np.random.Generator) -
     """
     points, normals = sample_surface(*surface, SAMPLES, rng)
     inward = -normals
-    parts = [
-        _opposite(points, normals, rows, widest) for rows in np.array_split(range(SAMPLES), BLOCKS)
-    ]
+    blocks = np.array_split(range(SAMPLES), BLOCKS)
+    parts = [_opposite(points, normals, rows, widest) for rows in blocks]
     first, width = (np.concatenate(part) for part in zip(*parts, strict=True))
     return AntipodalPairs(points[first] + inward[first] * width[:, None] / 2, inward[first], width)
 

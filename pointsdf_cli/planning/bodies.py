@@ -100,16 +100,15 @@ class BodyDistances:
         turn, at = rotation[:, self._links], position[:, self._links]  # WORLD is the last row
         centre = (turn @ self._centres[:, :, None])[..., 0] + at
         first, second = self._pairs.T
-        between = centre[:, first] - centre[:, second]
+        one, other = centre[:, first], centre[:, second]
+        between = one - other
         length = np.sqrt((between**2).sum(-1)) + 1e-300
         normal = between / length[..., None]
         gap = length - self._radii[first] - self._radii[second]
         low = self._table[second]
         gap[:, low] = centre[:, first[low], 2] - self._table_height - self._radii[first[low]]
         normal[:, low] = (0.0, 0.0, 1.0)
-        contacts = Contacts(
-            gap, self.link, centre[:, first], normal, self.other_link, centre[:, second]
-        )
+        contacts = Contacts(gap, self.link, one, normal, self.other_link, other)
         near = gap < self.exact_to
         if wanted is not None:
             near &= wanted
@@ -155,9 +154,8 @@ class BodyDistances:
         if link == WORLD:
             return coal.Transform3s(local[:3, :3], local[:3, 3])
         turn = poses.rotation[row, link]
-        return coal.Transform3s(
-            turn @ local[:3, :3], turn @ local[:3, 3] + poses.position[row, link]
-        )
+        place = turn @ local[:3, 3] + poses.position[row, link]
+        return coal.Transform3s(turn @ local[:3, :3], place)
 
     def _exact(
         self,

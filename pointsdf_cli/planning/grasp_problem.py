@@ -191,13 +191,10 @@ class GraspProblem:
     ) -> Evaluation:
         cost = self.objective(x)
         slope = cost.residual_gradient
-        return Evaluation(
-            cost.value,
-            cost.gradient,
-            2 * slope[:, :, None] * slope[:, None, :],
-            np.take_along_axis(slack, chosen, axis=1),
-            self.variables.derivatives(self._jacobian(poses, contacts, chosen)),
-        )
+        curvature = 2 * slope[:, :, None] * slope[:, None, :]
+        least = np.take_along_axis(slack, chosen, axis=1)
+        jacobian = self.variables.derivatives(self._jacobian(poses, contacts, chosen))
+        return Evaluation(cost.value, cost.gradient, curvature, least, jacobian)
 
     def _margins(self) -> Array:
         """Clearance of each distance, m."""

@@ -149,17 +149,9 @@ def label_view(
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, objects, standing_objects(objects, world, camera), reach)
-    return LabelledView(
-        name=name,
-        cloud=replace(cloud, points=points, frame="camera", mask=mask),
-        voxel=thinned.voxel,
-        points=few,
-        world=world,
-        pixels=pixels,
-        objects=objects,
-        listed=listed,
-        T_world_camera=cloud.T_world_camera,
-    )
+    pose = cloud.T_world_camera
+    cloud = replace(cloud, points=points, frame="camera", mask=mask)
+    return LabelledView(name, cloud, thinned.voxel, few, world, pixels, objects, listed, pose)
 
 
 def _to_depth_edge(
@@ -234,13 +226,8 @@ def sighting(
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
     label = view.objects.label
     above = (label >= 0) | (label == LOOSE)
-    return Sighting(
-        object_points=points[cleaning.kept],
-        other_points=view.points[label != item.label],
-        others_in_world=view.world[above & (label != item.label)],
-        cleaning=cleaning,
-        object_rays=rays,
-    )
+    kept, other = points[cleaning.kept], label != item.label
+    return Sighting(kept, view.points[other], view.world[above & other], cleaning, rays)
 
 
 def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool = True) -> str:
@@ -262,12 +249,10 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
     if unclean:
         dropped.append(f"{unclean} by cleaning")
     total = sum(each.stands for each in view.listed) if item.stands else len(view.listed)
-    which = (
-        "the masked object" if view.cloud.mask is not None else f"object {item.number} of {total}"
-    )
-    said = (
-        f"{which}, {item.describe() if place else item.sides}: kept {kept} of {len(label)} points"
-    )
+    masked = view.cloud.mask is not None
+    which = "the masked object" if masked else f"object {item.number} of {total}"
+    what = item.describe() if place else item.sides
+    said = f"{which}, {what}: kept {kept} of {len(label)} points"
     said += f"; dropped {', '.join(dropped)}" if dropped else ""
     if item.unsplit:
         said += "; it may be several objects in contact: --mask selects one"

@@ -167,9 +167,8 @@ class PathChecker:
         least = float(slacks.min(initial=np.inf))
         motion = self.motion(path[:-1], path[1:])[:, columns]
         way, place = np.nonzero(self._in_doubt(slacks[:-1], slacks[1:], motion))
-        doubt = _Doubt(
-            way, columns[place], slacks[way, place], slacks[way + 1, place], motion[way, place]
-        )
+        ends = slacks[way, place], slacks[way + 1, place]
+        doubt = _Doubt(way, columns[place], *ends, motion[way, place])
         a, b = path[:-1], path[1:]
         while least >= 0 and len(doubt.way):
             ways, rows = np.unique(doubt.way, return_inverse=True)

@@ -64,17 +64,9 @@ class TablePlan:
     def result(self, options: PlanOptions) -> PlanResult:
         """The result in plain data, with the planner's options."""
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-        return PlanResult(
-            self.answer.plan,
-            self.report,
-            self.warnings,
-            self.start,
-            self.points,
-            self.camera,
-            self.obstacles,
-            plain,
-            options.planner.synthesis.acceptance.least,
-        )
+        shared = self.report, self.warnings, self.start, self.points, self.camera, self.obstacles
+        least = options.planner.synthesis.acceptance.least
+        return PlanResult(self.answer.plan, *shared, plain, least)
 
 
 def answer_request(

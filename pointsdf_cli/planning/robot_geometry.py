@@ -106,11 +106,8 @@ class RobotGeometry:
     def __init__(self, kinematics: Kinematics) -> None:
         self.kinematics = kinematics
         tree = kinematics.robot.tree
-        self.bodies = tuple(
-            link_body(kinematics.index(link), link, shape)
-            for link in tree.links
-            for shape in tree.shapes[link]
-        )
+        shapes = [(link, shape) for link in tree.links for shape in tree.shapes[link]]
+        self.bodies = tuple(link_body(kinematics.index(link), link, one) for link, one in shapes)
         links, patches = [], []
         for link, points in robot_surface(kinematics.robot, SPACING).items():
             for patch in _split(points):

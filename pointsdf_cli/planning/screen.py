@@ -46,9 +46,8 @@ class HandOutline:
 
     def __call__(self, preshape: Array) -> Array:
         """Points [N, P, 3] in the palm's frame, m, of preshapes [N, K]."""
-        arm = np.broadcast_to(
-            self._robot.home[self._robot.arm], (len(preshape), len(self._robot.arm_joints))
-        )
+        home = self._robot.home[self._robot.arm]
+        arm = np.broadcast_to(home, (len(preshape), len(home)))
         q = self._robot.configuration(arm, preshape)
         points = np.concatenate(self._kinematics.points(q, self._links), axis=1)
         T_palm_world = invert_transform(self._kinematics.palm(q[0]))

@@ -106,11 +106,8 @@ def named_obstacles(
     """The obstacles of `obstacle_tasks`' results, and how long they took in all [s]; `taken` are
     names that other obstacles have."""
     names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
-    made = tuple(
-        Obstacle(next(names), "mesh", (), np.eye(4), mesh.vertices, mesh.faces, mesh)
-        for meshes, _ in found
-        for mesh in meshes
-    )
+    bodies = [(mesh.vertices, mesh.faces, mesh) for meshes, _ in found for mesh in meshes]
+    made = tuple(Obstacle(next(names), "mesh", (), np.eye(4), *body) for body in bodies)
     return made, sum(seconds for _, seconds in found)
 
 
@@ -184,7 +181,6 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
             hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
         except scipy.spatial.QhullError:  # a sheet on edge, seen as a line
             continue
-        found.append(
-            CollisionMesh.of(np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32))
-        )
+        vertices, faces = np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32)
+        found.append(CollisionMesh.of(vertices, faces))
     return found

@@ -127,11 +127,9 @@ class _Search:
         better = (gain > 1e-3) & (after < before)
         length = np.abs(trial - self.x[live]).max(axis=1)
         grown = np.minimum(2 * radius, LARGEST_RADIUS)
-        self._radius[live] = np.where(
-            gain < 0.25,
-            0.4 * np.minimum(radius, np.maximum(length, config.smallest_radius)),
-            np.where((gain > 0.75) & (length > 0.8 * radius), grown, radius),
-        )
+        shrunk = 0.4 * np.minimum(radius, np.maximum(length, config.smallest_radius))
+        larger = np.where((gain > 0.75) & (length > 0.8 * radius), grown, radius)
+        self._radius[live] = np.where(gain < 0.25, shrunk, larger)
         taken = live[better]
         self.x[taken] = trial[better]
         for kept, fresh in zip(now, new, strict=True):
@@ -234,10 +232,8 @@ class _Search:
         sound = (sBs > 1e-14) & (sy > 1e-14)
         row = live[sound]
         s, y, Bs, sBs, sy = s[sound], y[sound], Bs[sound], sBs[sound], sy[sound]
-        rest[row] += (
-            y[:, :, None] * y[:, None, :] / sy[:, None, None]
-            - Bs[:, :, None] * Bs[:, None, :] / sBs[:, None, None]
-        )
+        seen = y[:, :, None] * y[:, None, :] / sy[:, None, None]
+        rest[row] += seen - Bs[:, :, None] * Bs[:, None, :] / sBs[:, None, None]
         # Rounding must not take positive definiteness away.
         rest[row] += 1e-9 * np.eye(rest.shape[1])
 

@@ -98,16 +98,13 @@ def hidden_below(solid: Array, views: Sequence[tuple[Array, Array]]) -> Array:
         solid: [N, 3], points inside the body, world, m.
         views: Camera position [3] and observed object points [P, 3] of each view, world, m.
     """
-    cells, column = np.unique(
-        np.floor(solid[:, :2] / SPACING).astype(np.int64), axis=0, return_inverse=True
-    )
+    squares = np.floor(solid[:, :2] / SPACING).astype(np.int64)
+    cells, column = np.unique(squares, axis=0, return_inverse=True)
     lowest = np.full(len(cells), np.inf)
     np.minimum.at(lowest, column.ravel(), solid[:, 2])
     heights = np.arange(SPACING / 2, max(float(lowest.max()), SPACING), SPACING)
-    middle = (cells + 0.5) * SPACING
-    places = np.concatenate(
-        [np.repeat(middle, len(heights), axis=0), np.tile(heights, len(cells))[:, None]], axis=1
-    )
+    middle = np.repeat((cells + 0.5) * SPACING, len(heights), axis=0)
+    places = np.column_stack([middle, np.tile(heights, len(cells))])
     places = places[places[:, 2] < np.repeat(lowest, len(heights))]
     for eye, seen in views:
         if len(places):

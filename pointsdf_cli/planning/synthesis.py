@@ -247,16 +247,13 @@ def _polish(
     `best`, the least objective so far, are skipped.
     """
     limit = min(best - WORTH, config.acceptance.objective)
-    again = [
-        k
-        for k, candidate in enumerate(candidates)
-        if candidate.object_slack < 0 and candidate.objective < limit
-    ][:POLISHED]
+    near = [k for k, c in enumerate(candidates) if c.object_slack < 0 and c.objective < limit]
+    again = near[:POLISHED]
     if not again or problems.polish is problems.quick:
         return
     with lap(timings, "polish"):
-        near = np.stack([candidates[k].x for k in again])
-        polished = solver.solve(problems.polish, near, POLISH_ITERATIONS).x
+        starts = np.stack([candidates[k].x for k in again])
+        polished = solver.solve(problems.polish, starts, POLISH_ITERATIONS).x
     with lap(timings, "check"):
         kinds = [candidates[k].kind for k in again]
         better = judge(problems.exact, polished, config.acceptance, kinds)

@@ -67,9 +67,8 @@ def free_share(points: Array, others: Array) -> float:
     """
     if not len(others):
         return 1.0
-    away, _ = scipy.spatial.cKDTree(points[:, :2]).query(
-        others[:, :2], distance_upper_bound=HAND_ROOM
-    )
+    tree = scipy.spatial.cKDTree(points[:, :2])
+    away, _ = tree.query(others[:, :2], distance_upper_bound=HAND_ROOM)
     near = others[np.isfinite(away), :2]
     middle = (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) / 2
     angle = np.arctan2(*(near - middle).T[::-1]) / (2 * np.pi)

@@ -137,14 +137,8 @@ def grid_for(thickness: float) -> GridConfig:
 
 def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Reconstruction:
     """The object of one view in the world, from points sampled with `seed`."""
-    return Reconstruction.from_cloud(
-        network,
-        view.in_world,
-        view.T_world_camera[:3, 3],
-        view.T_world_camera[:3, :3],
-        seed,
-        view.evidence,
-    )
+    eye, turn = view.T_world_camera[:3, 3], view.T_world_camera[:3, :3]
+    return Reconstruction.from_cloud(network, view.in_world, eye, turn, seed, view.evidence)
 
 
 def reconstructed_object(

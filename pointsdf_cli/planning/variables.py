@@ -25,10 +25,8 @@ class Variables:
     def __init__(self, robot: RobotDescription) -> None:
         arm = np.arange(len(robot.joint_names))[robot.arm]
         followers = {column: rest for column, *rest in robot.followers}
-        self.of_preshape = np.array(
-            [k for k, column in enumerate(robot.preshape_columns) if column not in followers],
-            dtype=np.int64,
-        )
+        free = [k for k, column in enumerate(robot.preshape_columns) if column not in followers]
+        self.of_preshape = np.array(free, dtype=np.int64)
         self.columns = np.concatenate([arm, robot.preshape_columns[self.of_preshape]])
         self.lower: Array = robot.lower[self.columns]
         self.upper: Array = robot.upper[self.columns]
