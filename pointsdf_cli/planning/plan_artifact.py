@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pointsdf_cli.geometry.arrays import Surface
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.io.plans import NO_PLAN, OK, SLACKS, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.grasp_problem import GraspProblem
@@ -112,20 +112,18 @@ def no_plan(
 
 
 def _accepted(joints: int, candidates: Sequence[Candidate]) -> AcceptedGrasps:
-    return AcceptedGrasps(
-        q=np.array([c.q for c in candidates]).reshape(-1, joints),
-        kinds=tuple(c.kind for c in candidates),
-        success_probability=np.array([c.success for c in candidates]),
-        objective=np.array([c.objective for c in candidates]),
-    )
+    q, success, objective = _values(joints, candidates)
+    return AcceptedGrasps(q, tuple(c.kind for c in candidates), success, objective)
 
 
 def _rejected(joints: int, candidates: Sequence[Candidate]) -> RejectedSeeds:
+    q, success, objective = _values(joints, candidates)
     slack = [[c.object_slack, c.table_slack, c.obstacle_slack, c.self_slack] for c in candidates]
-    return RejectedSeeds(
-        q=np.array([c.q for c in candidates]).reshape(-1, joints),
-        reasons=tuple(c.reason for c in candidates),
-        success_probability=np.array([c.success for c in candidates]),
-        objective=np.array([c.objective for c in candidates]),
-        slack=np.reshape(slack, (-1, len(SLACKS))),
-    )
+    slacks, reasons = np.reshape(slack, (-1, len(SLACKS))), tuple(c.reason for c in candidates)
+    return RejectedSeeds(q, reasons, success, objective, slacks)
+
+
+def _values(joints: int, candidates: Sequence[Candidate]) -> tuple[Array, Array, Array]:
+    """Configurations [C, J], success probabilities [C] and objectives [C] of C candidates."""
+    q = np.array([c.q for c in candidates]).reshape(-1, joints)
+    return q, np.array([c.success for c in candidates]), np.array([c.objective for c in candidates])
