@@ -73,10 +73,9 @@ def require_table_at_zero(
         wrong = _wrong_table(world)
         if wrong:
             message = f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong"
-            hint = (
-                "check --depth-scale, --intrinsics, then --camera-pose; if only the pose is "
-                f"unknown: --camera-pose table. If there is no table: {without_table}"
-            )
+            order = "check --depth-scale, --intrinsics, then --camera-pose"
+            unknown = "if only the pose is unknown: --camera-pose table"
+            hint = f"{order}; {unknown}. If there is no table: {without_table}"
             raise InputError(message, where=name, allowed="a level table at z = 0", hint=hint)
 
 
@@ -227,9 +226,9 @@ def from_inside(view: View) -> str:
     opens_up = float(-cap @ view.T_world_camera[2, :3]) / max(size, 1e-9)
     if size > 0.8 or cap @ centre < 0 or opens_up > 0.5:
         return ""
+    inside = "this is the inside of something hollow that lies on its side"
     return (
-        "the seen points bulge away from the camera: this is the inside of something hollow that "
-        "lies on its side, or the cloud or its pose is wrong"
+        f"the seen points bulge away from the camera: {inside}, or the cloud or its pose is wrong"
     )
 
 

@@ -106,10 +106,9 @@ def why_none(
         default=None,
     )
     if not statistics.drawn:
-        return "low_success_probability", (
-            "The success network saw no grasp of this kind in training: ask for the other --kind, "
-            "or train it on more grasps."
-        )
+        unseen = "The success network saw no grasp of this kind in training"
+        advice = "ask for the other --kind, or train it on more grasps."
+        return "low_success_probability", f"{unseen}: {advice}"
     if not statistics.above_table:
         return "table_collision", (
             f"The palms of all {statistics.drawn} drawn grasps are below the table's top: the "
@@ -167,10 +166,8 @@ def explain(
     if reason == "no_object":
         return "No object was seen: check the camera's pose, the unit, and where it looks."
     if reason == "inverse_kinematics" or best is None:
-        return (
-            "The arm reaches none of the grasps that were drawn: move the object nearer to the "
-            "robot's middle reach, or away from its base."
-        )
+        far = "The arm reaches none of the grasps that were drawn"
+        return f"{far}: move the object nearer to the robot's middle reach, or away from its base."
     depth = f"{max(0.0, -best.worst_slack) * 1000:.1f} mm"
     closing = f"{max(0.0, -best.closing_slack) * 1000:.1f} mm"
     what = "the table" if best.table_slack <= best.obstacle_slack else "an obstacle"
