@@ -7,6 +7,9 @@ shells, but never as heavier than filled ones.
 
 from __future__ import annotations
 
+import json
+from importlib import resources
+
 import numpy as np
 import trimesh
 
@@ -21,57 +24,9 @@ WALL = 0.002
 WALL_DENSITY = 1100.0
 """Density of a shell [kg/m³]: plastics have 900 to 1400."""
 
-YCB_MASSES = {
-    "001_chips_can": 0.205,
-    "002_master_chef_can": 0.414,
-    "003_cracker_box": 0.411,
-    "004_sugar_box": 0.514,
-    "005_tomato_soup_can": 0.349,
-    "006_mustard_bottle": 0.603,
-    "007_tuna_fish_can": 0.171,
-    "008_pudding_box": 0.187,
-    "009_gelatin_box": 0.097,
-    "010_potted_meat_can": 0.370,
-    "011_banana": 0.066,
-    "012_strawberry": 0.018,
-    "013_apple": 0.068,
-    "014_lemon": 0.029,
-    "015_peach": 0.033,
-    "016_pear": 0.049,
-    "017_orange": 0.047,
-    "018_plum": 0.025,
-    "019_pitcher_base": 0.178,
-    "021_bleach_cleanser": 1.131,
-    "022_windex_bottle": 1.022,
-    "024_bowl": 0.147,
-    "025_mug": 0.118,
-    "026_sponge": 0.0062,
-    "028_skillet_lid": 0.652,
-    "029_plate": 0.279,
-    "030_fork": 0.034,
-    "032_knife": 0.031,
-    "033_spatula": 0.0515,
-    "035_power_drill": 0.895,
-    "036_wood_block": 0.729,
-    "037_scissors": 0.082,
-    "040_large_marker": 0.0158,
-    "042_adjustable_wrench": 0.252,
-    "043_phillips_screwdriver": 0.097,
-    "044_flat_screwdriver": 0.0984,
-    "048_hammer": 0.665,
-    "050_medium_clamp": 0.059,
-    "051_large_clamp": 0.125,
-    "052_extra_large_clamp": 0.202,
-    "053_mini_soccer_ball": 0.123,
-    "054_softball": 0.191,
-    "056_tennis_ball": 0.058,
-    "057_racquetball": 0.041,
-    "058_golf_ball": 0.046,
-    "061_foam_brick": 0.028,
-    "062_dice": 0.0052,
-    "071_nine_hole_peg_test": 1.435,
-    "077_rubiks_cube": 0.094,
-}
+YCB_MASSES: dict[str, float] = json.loads(
+    resources.files("pointsdf_cli.simulation").joinpath("ycb_masses.json").read_text("utf-8")
+)
 """Masses [kg] of YCB objects, as bought (Calli et al. 2015, table of the objects).
 
 Left out: objects weighed only as a set (aeroplanes 072, bricks 073), and objects on which copies of
