@@ -201,11 +201,11 @@ def interpolate(path: Array, resolution: Array) -> Array:
     return np.concatenate(pieces)
 
 
-def _coarse_first(count: int) -> NDArray[np.int64]:
-    """Indices below `count`: the ends first, then halves, quarters, …"""
-    back = np.arange(count)
-    stride = np.where(back == 0, count, back & -back)  # the largest that comes to each
-    return count - 1 - np.argsort(-stride, kind="stable")
+def _coarse_first(count: int) -> list[int]:
+    """Indices below `count`, each once: the last first, then in strides that halve."""
+    strides = [2**k for k in reversed(range(count.bit_length()))]
+    every = (place for stride in strides for place in range(count - 1, -1, -stride))
+    return list(dict.fromkeys(every))
 
 
 def _different(arms: Array) -> Array:
