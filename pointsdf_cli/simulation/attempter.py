@@ -202,11 +202,9 @@ class Attempter:
             InputError: The attempt was never simulated, or the arm has no room to lift.
         """
         if not grasps.simulated[row]:
-            raise InputError(
-                f"attempt {row} was never executed ({CAUSES[grasps.cause[row]]})",
-                where=item.mesh.name,
-                allowed="attempts that ended as " + ", ".join(SIMULATED),
-            )
+            what = f"attempt {row} was never executed ({CAUSES[grasps.cause[row]]})"
+            allowed = "attempts that ended as " + ", ".join(SIMULATED)
+            raise InputError(what, where=item.mesh.name, allowed=allowed)
         q = grasps.q[row]
         if planned:  # the lift that `plan` would take
             lift = lift_path(self._reacher.chain, q)
@@ -228,7 +226,7 @@ class Attempter:
         return self._last_scene[1]
 
     def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> ObservedScene:
-        problem = InputError("never comes to rest on a table", where=item.mesh.name)
+        problem = "never comes to rest on a table"
         for _ in range(SCENE_TRIES):
             which, _ = draw_pose(item.poses, STANDING, rng)
             resting = self._resting(item, which)
@@ -240,17 +238,13 @@ class Attempter:
             try:
                 view = self._observer.object_view(item, pose, T_world_camera, rng)
             except InputError as error:
-                problem = InputError(
-                    f"is not seen by the camera: {error.what}", where=item.mesh.name
-                )
+                problem = f"is not seen by the camera: {error.what}"
                 continue
             if not shows(item, pose, apply_transform(T_world_camera, view.points)):
-                problem = InputError(
-                    "is not what the segmentation finds on the table", where=item.mesh.name
-                )
+                problem = "is not what the segmentation finds on the table"
                 continue
             return ObservedScene(pose, T_world_camera, view.points, view.evidence or ViewEvidence())
-        raise problem
+        raise InputError(problem, where=item.mesh.name)
 
     def _resting(self, item: SimObject, which: int) -> Array | None:
         """Settled pose of one stable pose, cached."""

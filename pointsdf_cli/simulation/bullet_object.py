@@ -48,9 +48,8 @@ class BulletObject:
         self._T_body_mesh = invert_transform(item.T_mesh_body)
         shape = bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(file))
         if shape < 0:
-            raise RgraspError(
-                "PyBullet cannot read the object's convex pieces", where=item.mesh.name
-            )
+            what = "PyBullet cannot read the object's convex pieces"
+            raise RgraspError(what, where=item.mesh.name)
         position, xyzw = bullet_place(T_world_object @ self._T_mesh_body)
         self.body: int = bullet.createMultiBody(
             item.mass, shape, basePosition=position, baseOrientation=xyzw
@@ -89,9 +88,8 @@ class BulletObject:
 
     def push(self, force: Array) -> None:
         """Apply a force [3] [N], world frame, at the centre of mass during the next step."""
-        self._bullet.applyExternalForce(
-            self.body, -1, force.tolist(), self.centre().tolist(), self._bullet.WORLD_FRAME
-        )
+        b, centre = self._bullet, self.centre().tolist()
+        b.applyExternalForce(self.body, -1, force.tolist(), centre, b.WORLD_FRAME)
 
 
 def write_pieces(pieces: Pieces, path: Path, skin: float) -> None:

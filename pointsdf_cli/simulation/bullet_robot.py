@@ -65,14 +65,10 @@ class BulletRobot:
         for joint in self.robot.tree.joints:
             if joint.mimic is None or not {joint.name, joint.mimic[0]} <= by_name.keys():
                 continue
-            (body, number), (leader, first) = by_name[joint.name], by_name[joint.mimic[0]]
-            axis, origin = [1, 0, 0], [0, 0, 0]
-            gear = b.createConstraint(
-                leader, first, body, number, b.JOINT_GEAR, axis, origin, origin
-            )
-            b.changeConstraint(
-                gear, gearRatio=-1 / joint.mimic[1], erp=GEAR_RECOVERY, maxForce=GEAR_FORCE
-            )
+            leader, ratio = joint.mimic
+            both, axis, origin = (*by_name[leader], *by_name[joint.name]), [1, 0, 0], [0, 0, 0]
+            gear = b.createConstraint(*both, b.JOINT_GEAR, axis, origin, origin)
+            b.changeConstraint(gear, gearRatio=-1 / ratio, erp=GEAR_RECOVERY, maxForce=GEAR_FORCE)
 
     def _load(self, file: Path, T_world_root: Array) -> int:
         b = self._bullet

@@ -110,11 +110,8 @@ def decompose(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Pieces
         max_ch_vertex=MOST_CORNERS,
         seed=1,
     )
-    pieces = []
-    for corners, _ in parts:
-        piece = hull_of(corners)
-        if piece is not None:
-            pieces.append((np.asarray(piece.vertices), np.asarray(piece.faces)))
+    hulls = [hull_of(corners) for corners, _ in parts]
+    pieces = [(np.asarray(h.vertices), np.asarray(h.faces)) for h in hulls if h is not None]
     if not pieces:
         raise InputError("has no convex piece of any volume")
     return pieces
@@ -157,9 +154,8 @@ def without_details(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh | None:
         if len(best.faces) <= most:
             break
         few = solid.simplify(share * float(mesh.extents.max())).to_mesh64()
-        simple = trimesh.Trimesh(
-            np.asarray(few.vert_properties), np.asarray(few.tri_verts, np.int64), process=False
-        )
+        corners, faces = np.asarray(few.vert_properties), np.asarray(few.tri_verts, np.int64)
+        simple = trimesh.Trimesh(corners, faces, process=False)
         if not _same_volume(simple, mesh):
             break
         best = simple

@@ -163,13 +163,9 @@ class Executor:
 
     def _seen(self) -> Seen:
         contact = self._world.robot_contact()
-        return Seen(
-            rise=self._object_height() - self._start_height,
-            hand_links=contact.hand_links,
-            depth=contact.depth,
-            on_table=self._world.object_on_table(),
-            fastest=self._fastest,
-        )
+        rise = self._object_height() - self._start_height
+        on_table = self._world.object_on_table()
+        return Seen(rise, contact.hand_links, contact.depth, on_table, self._fastest)
 
     def _close(self) -> None:
         """Move all closing joints until each has stalled or reached its limit.
@@ -300,9 +296,8 @@ class Executor:
                 world.object.push(force)  # it acts during one step
             world.step()
             # Checked with and without `watch` alike: the checks decide what counts as flung.
-            if (
-                done % self._look_every == 0 or done == steps
-            ) and self._object_height() > OFF_TABLE:
+            looks = done % self._look_every == 0 or done == steps
+            if looks and self._object_height() > OFF_TABLE:
                 # Below the table it falls freely.
                 self._fastest = max(self._fastest, world.object.speed()[0])
             if self._watch:

@@ -70,13 +70,9 @@ def jaw_palm(
     distance = jaws.middle - extent[0] + DEPTH_NOISE * rng.standard_normal()
     nearest = NEAREST + DEPTH_NOISE / 2 * abs(rng.standard_normal())
     behind = UNSEEN * rng.uniform(0, 1) * float(away @ z)
-    local = np.array(
-        [
-            -min(max(distance, nearest), farthest),
-            SHIFT * extent[1] * rng.uniform(-1, 1),
-            PLACE_NOISE * rng.standard_normal() + behind - reach,
-        ]
-    )
+    aside = SHIFT * extent[1] * rng.uniform(-1, 1)
+    between = PLACE_NOISE * rng.standard_normal() + behind - reach
+    local = np.array([-min(max(distance, nearest), farthest), aside, between])
     turn = TURN_NOISE * rng.standard_normal(3)
     return face, transform(rotation @ small_rotation(turn), face.centre + rotation @ local)
 

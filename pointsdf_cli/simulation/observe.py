@@ -100,9 +100,8 @@ class Observer:
             (apply_transform(pose, item.mesh.vertices), item.mesh.faces.astype(np.int64))
             for item, pose in standing
         ]
-        vertices, faces = trimesh.util.append_faces(
-            *zip(*parts, *self._robot, _table(), strict=True)
-        )
+        surfaces = [*parts, *self._robot, _table()]
+        vertices, faces = trimesh.util.append_faces(*zip(*surfaces, strict=True))
         camera = self.placement.camera
         patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
         sensor = load_sensor(self.placement.sensor).with_noise(self.placement.noise)

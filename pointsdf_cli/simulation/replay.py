@@ -56,12 +56,9 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
         attempter.close()
     cause = CAUSES[grasps.cause[row]]
     if outcome.cause != cause:
-        raise RgraspError(
-            f"attempt {row} ends as {outcome.cause} and is stored as {cause}",
-            where=task.out,
-            hint="it was made with another version of rgrasp or PyBullet; collect it again with "
-            "--force",
-        )
+        what = f"attempt {row} ends as {outcome.cause} and is stored as {cause}"
+        made = "it was made with another version of rgrasp or PyBullet"
+        raise RgraspError(what, where=task.out, hint=f"{made}; collect it again with --force")
     rise = f"rose {100 * outcome.lift_height:.1f} cm"
     title = f"{task.name}, {KINDS[grasps.kind[row]]}: {cause}, {rise}"
     start = (grasps.q[row], grasps.T_world_object[row])

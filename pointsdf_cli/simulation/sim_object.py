@@ -52,11 +52,8 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None, fine: bool = Fal
     """
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     if not np.isfinite(solid.volume) or solid.volume <= 1e-9:
-        raise InputError(
-            f"encloses {solid.volume:.3g} m³",
-            where=mesh.name,
-            allowed="a closed mesh that faces outwards, above 1e-9 m³",
-        )
+        allowed = "a closed mesh that faces outwards, above 1e-9 m³"
+        raise InputError(f"encloses {solid.volume:.3g} m³", where=mesh.name, allowed=allowed)
     mass = mass_of(mesh.name, solid)
     solid.density = mass / solid.volume
     centre = np.asarray(solid.center_mass)
