@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import cross_matrix, rotation_vector
+from pointsdf_cli.geometry.frames import cross_matrix, rotation_vector, transform
 from pointsdf_cli.robot.description import RobotDescription
 
 CHUNK = 1024
@@ -51,16 +51,13 @@ class ArmChain:
         q = np.asarray(q, dtype=np.float64)
         arms = q[..., self.robot.arm].reshape(-1, len(self.robot.arm_joints))
         rotation, position, _, _ = self._along(arms)
-        poses = np.zeros((len(arms), 4, 4))
-        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rotation, position, 1.0
-        return poses.reshape(*q.shape[:-1], 4, 4)
+        return transform(rotation, position).reshape(*q.shape[:-1], 4, 4)
 
     def palms(self, arm: Array) -> tuple[Array, Array]:
         """Palm rotation [B, 3, 3] and position [B, 3] of arm joints [B, A]."""
         starts = range(0, max(1, len(arm)), CHUNK)
-        rotations, positions, *_ = zip(
-            *(self._along(arm[k : k + CHUNK]) for k in starts), strict=True
-        )
+        chunks = (self._along(arm[k : k + CHUNK]) for k in starts)
+        rotations, positions, *_ = zip(*chunks, strict=True)
         return np.concatenate(rotations), np.concatenate(positions)
 
     def palm_and_jacobian(self, arm: Array) -> tuple[Array, Array, Array]:
@@ -93,9 +90,8 @@ class ArmChain:
         rotations = np.empty((len(self._before), count, 3, 3))
         origins = np.empty((len(self._before), count, 3))
         angles = arm.T[self._columns, :, None, None]
-        turns = (
-            self._constant + np.sin(angles) * self._with_sine + np.cos(angles) * self._with_cosine
-        )
+        turns = self._constant + np.sin(angles) * self._with_sine
+        turns += np.cos(angles) * self._with_cosine
         for k, before in enumerate(self._before):
             position = position + rotation @ before[:3, 3]
             origins[k] = position

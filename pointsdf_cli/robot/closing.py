@@ -50,11 +50,7 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
     kinematics = Kinematics(robot)
     surface = robot_surface(robot)
     start = open_hand(robot)
-    ends = np.where(
-        robot.closing_speeds > 0,
-        robot.hard_upper[robot.closing_columns],
-        robot.hard_lower[robot.closing_columns],
-    )
+    ends = robot.closing_ends
     share = np.linspace(0.0, 1.0, steps)[:, None]
     q = np.repeat(start[None], steps, axis=0)
     q[:, robot.closing_columns] = (1 - share) * start[robot.closing_columns] + share * ends

@@ -76,10 +76,8 @@ class SelfCollision:
             points = link_surface(shapes, spacing)
             low, high = bounding_box(shapes)
             centre = (low + high) / 2
-            radius = max(
-                float(np.linalg.norm(shape.triangulated()[0] - centre, axis=1).max())
-                for shape in shapes
-            )
+            corners = np.concatenate([shape.triangulated()[0] for shape in shapes])
+            radius = float(np.linalg.norm(corners - centre, axis=1).max())
             self._bodies[link] = _Body(
                 kinematics.index(link), link, torch.tensor(points), torch.tensor(centre), radius
             )

@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,12 @@ class RobotDescription:
         return np.array([self.joint_names.index(name) for name in self.closing_joints])
 
     @cached_property
+    def closing_ends(self) -> Array:
+        """Hard limits [K] at which the closing joints end when they close [rad; m]."""
+        columns = self.closing_columns
+        return np.where(self.closing_speeds > 0, self.hard_upper[columns], self.hard_lower[columns])
+
+    @cached_property
     def followers(self) -> tuple[tuple[int, int, float], ...]:
         """Joints that others move along (`<mimic>`), such as the second jaw of a gripper: column in
         q, the leader's column, and the ratio of their motions."""
@@ -128,12 +135,7 @@ class RobotDescription:
         """Pairs of links with shapes that must not touch each other."""
         free = self.may_touch | self.tree.neighbours()
         links = [link for link in self.tree.links if self.tree.shapes[link]]
-        return tuple(
-            (a, b)
-            for i, a in enumerate(links)
-            for b in links[i + 1 :]
-            if frozenset((a, b)) not in free
-        )
+        return tuple(pair for pair in combinations(links, 2) if frozenset(pair) not in free)
 
     def configuration(self, arm: Array, preshape: Array) -> Array:
         """Whole configurations [..., J] from arm [..., A] and preshape [..., K] joints; followers
@@ -156,11 +158,8 @@ def load_robot(path: Path | str | None = None) -> RobotDescription:
     """
     path = robot_file(path)
     if not path.is_file():
-        raise InputError(
-            "no such robot file",
-            where=path,
-            allowed="a YAML file beside its URDF, or " + ", ".join(bundled_robots()),
-        )
+        allowed = "a YAML file beside its URDF, or " + ", ".join(bundled_robots())
+        raise InputError("no such robot file", where=path, allowed=allowed)
     return robot_of(read_yaml(path), path)
 
 
@@ -251,11 +250,8 @@ def _preshape_ranges(
     for name, (low, high) in ranges.items():
         joint = movable[name]
         if not joint.lower - 1e-6 <= low <= high <= joint.upper + 1e-6:
-            raise keys.wrong(
-                "preshape_joints",
-                f"gives {name} the range [{low}, {high}]",
-                f"within its limits [{joint.lower:g}, {joint.upper:g}], lower first",
-            )
+            allowed = f"within its limits [{joint.lower:g}, {joint.upper:g}], lower first"
+            raise keys.wrong("preshape_joints", f"gives {name} the range [{low}, {high}]", allowed)
     return ranges
 
 
@@ -274,21 +270,15 @@ def _palm(keys: RobotKeys, tree: Tree, hand: tuple[str, ...]) -> tuple[str, Arra
     if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
         raise keys.wrong("palm", "has no such `link`", ", ".join(tree.links))
     if not any(tree.shapes[link] for link in tree.beyond(hand)):
-        raise keys.wrong(
-            "hand_joints",
-            "move no link with a <collision> shape",
-            "a URDF whose fingers have <collision> geometry, not <visual> alone",
-        )
-    link, T_link_palm = _carrier(
-        tree, hand, str(palm["link"]), keys.pose("palm", palm, ("link", "reach"))
-    )
+        allowed = "a URDF whose fingers have <collision> geometry, not <visual> alone"
+        raise keys.wrong("hand_joints", "move no link with a <collision> shape", allowed)
+    pose = keys.pose("palm", palm, ("link", "reach"))
+    link, T_link_palm = _carrier(tree, hand, str(palm["link"]), pose)
     for joint in reversed(tree.way_up(link)):
         if joint.name in hand:
-            raise keys.wrong(
-                "hand_joints",
-                f"holds {joint.name!r}, which moves the palm's link {link!r}",
-                "joints beyond the palm; a wrist is one of `arm_joints`",
-            )
+            what = f"holds {joint.name!r}, which moves the palm's link {link!r}"
+            allowed = "joints beyond the palm; a wrist is one of `arm_joints`"
+            raise keys.wrong("hand_joints", what, allowed)
     reach = palm.get("reach")
     return link, T_link_palm, None if reach is None else float(keys.vector("palm", [reach], 1)[0])
 
@@ -305,11 +295,8 @@ def _home(keys: RobotKeys, lower: Array, upper: Array, arm: int) -> Array:
         j = int(outside[0])
         name = [*keys.data["arm_joints"], *keys.data["hand_joints"]][j]
         within = "limits less `arm_limit_margin`" if j < arm else "limits"
-        raise keys.wrong(
-            "home",
-            f"has {name} at {home[j]:.4g}",
-            f"{lower[j]:.4g} to {upper[j]:.4g}, its {within}",
-        )
+        allowed = f"{lower[j]:.4g} to {upper[j]:.4g}, its {within}"
+        raise keys.wrong("home", f"has {name} at {home[j]:.4g}", allowed)
     return home
 
 

@@ -125,10 +125,8 @@ def _rounded(values: Array, digits: int) -> list[float]:
 def _rounded_within(values: Array, low: Array, high: Array, digits: int) -> list[float]:
     """Rounded, but not past limits that themselves have more digits."""
     unit = 10.0**-digits
-    inside = np.clip(
-        np.round(values, digits), np.ceil(low / unit) * unit, np.floor(high / unit) * unit
-    )
-    return _rounded(inside, digits)
+    least, most = np.ceil(low / unit) * unit, np.floor(high / unit) * unit
+    return _rounded(np.clip(np.round(values, digits), least, most), digits)
 
 
 def _always_touching(robot: RobotDescription) -> list[list[str]]:

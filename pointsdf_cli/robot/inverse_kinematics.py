@@ -69,9 +69,8 @@ class InverseKinematics:
         self._lower, self._upper = robot.lower[robot.arm], robot.upper[robot.arm]
         self.chain = ArmChain(robot)
         rng = np.random.default_rng(0)
-        self._pool = rng.uniform(
-            self._lower, self._upper, (self.config.pool, len(robot.arm_joints))
-        )
+        shape = (self.config.pool, len(robot.arm_joints))
+        self._pool = rng.uniform(self._lower, self._upper, shape)
         rotation, position = self.chain.palms(self._pool)
         # One radian of turn weighs like this many metres of way.
         self._turn_weight = 0.3

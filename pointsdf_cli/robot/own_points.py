@@ -43,8 +43,6 @@ def off_robot(points: Array, own: Array) -> Mask:
     off = np.ones(len(points), dtype=bool)
     low, high = own.min(axis=0) - ROBOT_MARGIN, own.max(axis=0) + ROBOT_MARGIN
     near = np.flatnonzero(strictly_inside(points, low, high))
-    off[near] = (
-        scipy.spatial.KDTree(own).query(points[near], distance_upper_bound=ROBOT_MARGIN)[0]
-        == np.inf
-    )
+    tree = scipy.spatial.KDTree(own)
+    off[near] = tree.query(points[near], distance_upper_bound=ROBOT_MARGIN)[0] == np.inf
     return off

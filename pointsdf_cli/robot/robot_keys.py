@@ -35,9 +35,8 @@ class RobotKeys:
         self.data = data
         missing = [key for key in REQUIRED if key not in data]
         if missing:
-            raise InputError(
-                f"lacks {', '.join(missing)}", where=path, allowed=f"needed: {', '.join(REQUIRED)}"
-            )
+            allowed = f"needed: {', '.join(REQUIRED)}"
+            raise InputError(f"lacks {', '.join(missing)}", where=path, allowed=allowed)
         unknown = [str(key) for key in data if key not in REQUIRED + OPTIONAL]
         if unknown:
             raise self.wrong(unknown[0], "is not a key", ", ".join(REQUIRED + OPTIONAL))

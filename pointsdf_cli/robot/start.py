@@ -27,9 +27,8 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
     if given is None:
         return robot.home.copy()
     arm, joints = len(robot.arm_joints), len(robot.joint_names)
-    allowed = f"{arm} arm joints or all {joints} [rad; m where they slide]: " + ", ".join(
-        robot.joint_names
-    )
+    names = ", ".join(robot.joint_names)
+    allowed = f"{arm} arm joints or all {joints} [rad; m where they slide]: {names}"
     numbers = numbers_in(given, "--start", allowed) if isinstance(given, str) else given
     if len(numbers) not in (arm, joints):
         raise InputError(f"{len(numbers)} joint positions", where="--start", allowed=allowed)
@@ -41,17 +40,12 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
         j = int(outside[0])
         name = robot.joint_names[j]
         unit = "m" if robot.slides[j] else "rad"
-        raise InputError(
-            f"{name} at {q[j]:.4g} {unit} is beyond its limit",
-            where="--start",
-            allowed=f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}",
-        )
+        what = f"{name} at {q[j]:.4g} {unit} is beyond its limit"
+        allowed = f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}"
+        raise InputError(what, where="--start", allowed=allowed)
     for column, leader, ratio in robot.followers:
         if abs(q[column] - ratio * q[leader]) > APART:
-            raise InputError(
-                f"{robot.joint_names[column]} at {q[column]:.4g} does not follow "
-                f"{robot.joint_names[leader]} at {q[leader]:.4g}",
-                where="--start",
-                allowed=f"{ratio * q[leader]:.4g}: the hardware moves both together",
-            )
+            one, other = (f"{robot.joint_names[k]} at {q[k]:.4g}" for k in (column, leader))
+            allowed = f"{ratio * q[leader]:.4g}: the hardware moves both together"
+            raise InputError(f"{one} does not follow {other}", where="--start", allowed=allowed)
     return q

@@ -128,17 +128,15 @@ def read_urdf(path: Path) -> Tree:
     for what, most in MOST.items():
         if len(found := root.findall(what)) > most:
             raise InputError(f"has {len(found)} <{what}>", where=path, allowed=f"{most}")
-    names = [_attribute(link, "name", path) for link in root.findall("link")]
+    nodes = root.findall("link")
+    names = [_attribute(link, "name", path) for link in nodes]
     joints = [_joint(node, path) for node in root.findall("joint")]
     for kind, all_names in (("link", names), ("joint", [joint.name for joint in joints])):
         twice = sorted({name for name in all_names if all_names.count(name) > 1})
         if twice:
             raise InputError(f"names the {kind} {twice[0]!r} twice", where=path)
-    shapes = {
-        name: tuple(_shapes(link, path))
-        for name, link in zip(names, root.findall("link"), strict=True)
-    }
-    weighed = {link.get("name") for link in root.findall("link") if has_mass(link)}
+    shapes = {name: tuple(_shapes(link, path)) for name, link in zip(names, nodes, strict=True)}
+    weighed = {link.get("name") for link in nodes if has_mass(link)}
     joints = [_following(joint, joints, path) for joint in joints]
     links, ordered = _ordered(names, joints, path)
     without_mass = tuple(name for name in links if shapes[name] and name not in weighed)
@@ -195,9 +193,8 @@ def _ordered(
                 raise InputError(what, where=path, allowed=", ".join(names))
     roots = [name for name in names if name not in children]
     if len(roots) != 1:
-        raise InputError(
-            f"has {len(roots)} root links ({', '.join(roots[:4])})", where=path, allowed="one"
-        )
+        what = f"has {len(roots)} root links ({', '.join(roots[:4])})"
+        raise InputError(what, where=path, allowed="one")
     links, ordered = [roots[0]], []
     for link in links:  # grows while it is walked
         for joint in joints:
@@ -212,9 +209,8 @@ def _ordered(
 def _joint(node: ET.Element, path: Path) -> Joint:
     name, kind = _attribute(node, "name", path), node.get("type", "")
     if kind not in JOINT_KINDS:
-        raise InputError(
-            f"joint {name!r} is of the kind {kind!r}", where=path, allowed=", ".join(JOINT_KINDS)
-        )
+        what = f"joint {name!r} is of the kind {kind!r}"
+        raise InputError(what, where=path, allowed=", ".join(JOINT_KINDS))
     ends = {}
     for role in ("parent", "child"):
         end = node.find(role)

@@ -176,9 +176,6 @@ class Executor:
         world, robot = self._world, self._world.robot
         speeds = robot.closing_speeds * SPEED_UP
         efforts = robot.effort[self._closing] * self._config.closing_effort
-        ends = np.where(
-            speeds > 0, robot.hard_upper[self._closing], robot.hard_lower[self._closing]
-        )
         # Tolerance at the end of travel: 2% of it, but at most 0.02 (rad for a finger).
         travel = (robot.hard_upper - robot.hard_lower)[self._closing]
         at_end = np.minimum(0.02, 0.02 * travel)
@@ -192,7 +189,7 @@ class Executor:
             self._advance(check, "close")
             position, velocity = (values[self._closing] for values in world.joints.state())
             stalled = velocity * np.sign(speeds) < STALL_SPEED * np.abs(speeds)
-            stalled |= np.abs(position - ends) < at_end
+            stalled |= np.abs(position - robot.closing_ends) < at_end
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
 
     def _grip(self) -> None:
