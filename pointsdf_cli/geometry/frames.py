@@ -66,9 +66,8 @@ def rigid(pose: ArrayLike, where: str) -> Array:
     """
     matrix = numbers(pose, where, "[4, 4], m")
     if not is_rigid(matrix):
-        raise InputError(
-            "is not a rigid transform", where=where, allowed="[4, 4], a rotation and a translation"
-        )
+        allowed = "[4, 4], a rotation and a translation"
+        raise InputError("is not a rigid transform", where=where, allowed=allowed)
     return matrix
 
 
@@ -81,7 +80,7 @@ def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return _matrices(rows)
 
 
 def wxyz_from_rotation(rotation: ArrayLike) -> Array:
@@ -93,17 +92,15 @@ def wxyz_from_rotation(rotation: ArrayLike) -> Array:
     m = np.asarray(rotation, dtype=np.float64)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     # Row k holds 4·q_k·(w, x, y, z).
-    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    a, b, c = _about_axis(m)
     d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
-    candidates = np.stack(
-        [
-            np.stack([1 + xx + yy + zz, a, b, c], axis=-1),
-            np.stack([a, 1 + xx - yy - zz, d, e], axis=-1),
-            np.stack([b, d, 1 - xx + yy - zz, f], axis=-1),
-            np.stack([c, e, f, 1 - xx - yy + zz], axis=-1),
-        ],
-        axis=-2,
-    )
+    rows = [
+        [1 + xx + yy + zz, a, b, c],
+        [a, 1 + xx - yy - zz, d, e],
+        [b, d, 1 - xx + yy - zz, f],
+        [c, e, f, 1 - xx - yy + zz],
+    ]
+    candidates = _matrices(rows)
     best = np.argmax(np.einsum("...kk->...k", candidates), axis=-1)
     wxyz = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     wxyz = wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)
@@ -114,10 +111,7 @@ def rotation_vector(rotation: ArrayLike) -> Array:
     """Axis times angle [..., 3] of rotations [..., 3, 3]; sound up to half a turn, where the axis
     is lost and the vector is zero."""
     m = np.asarray(rotation, dtype=np.float64)
-    axis = 0.5 * np.stack(
-        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]],
-        axis=-1,
-    )
+    axis = 0.5 * np.stack(_about_axis(m), axis=-1)
     sine = np.linalg.norm(axis, axis=-1)
     angle = np.arctan2(sine, (np.trace(m, axis1=-2, axis2=-1) - 1) / 2)
     scale = np.where(sine > 1e-6, angle / np.maximum(sine, 1e-12), 1.0)
@@ -128,8 +122,17 @@ def cross_matrix(axis: ArrayLike) -> Array:
     """Matrices K [..., 3, 3] with K v = axis × v, of axes [..., 3]."""
     x, y, z = np.moveaxis(np.asarray(axis, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return _matrices([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+
+
+def _matrices(rows: list[list[Array]]) -> Array:
+    """Matrices [..., R, C] from the arrays [...] of their elements, row by row."""
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _about_axis(m: Array) -> tuple[Array, Array, Array]:
+    """Components [...] of the axes of rotations [..., 3, 3], times twice the sine of the angle."""
+    return m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
 
 
 def random_rotation(rng: np.random.Generator, count: int | None = None) -> Array:

@@ -143,12 +143,7 @@ def _vertices(
     return start + share[:, None] * (end - start)
 
 
-def _newton_step(
-    t: Array,
-    at_0: Array,
-    at_t: Array,
-    at_1: Array,
-) -> Array:
+def _newton_step(t: Array, at_0: Array, at_t: Array, at_1: Array) -> Array:
     """One Newton step from t on each unit edge, kept between the two samples of opposite sign.
 
     The slope is that of the parabola through the three samples, so no gradient is asked for, the
@@ -180,9 +175,8 @@ def _keep_large_parts(
     if count == 1:
         return vertices, faces, 0
     a, b, c = vertices[faces].swapaxes(0, 1)
-    volume = np.abs(
-        np.bincount(part[faces[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count)
-    )
+    under_face = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    volume = np.abs(np.bincount(part[faces[:, 0]], under_face, count))
     keep = volume >= smallest * volume.max()
     keep[volume.argmax()] = True
     if smallest == 1:

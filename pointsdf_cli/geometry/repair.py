@@ -97,9 +97,8 @@ def _solid(vertices: Array, faces: Indices) -> manifold3d.Manifold:
     """The solid of a surface as it is."""
     # Copies, because manifold3d takes no read-only arrays, which its own meshes are.
     corners = np.array(vertices, dtype=np.float64, order="C")
-    return manifold3d.Manifold(
-        manifold3d.Mesh64(corners, np.array(faces, dtype=np.uint64, order="C"))
-    )
+    triangles = np.array(faces, dtype=np.uint64, order="C")
+    return manifold3d.Manifold(manifold3d.Mesh64(corners, triangles))
 
 
 def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:

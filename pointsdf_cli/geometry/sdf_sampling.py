@@ -41,9 +41,8 @@ class SamplingConfig:
 
     def __post_init__(self) -> None:
         if not 100 <= self.points <= 50_000_000:
-            raise InputError(
-                f"{self.points} points a mesh", where="--points", allowed="100 to 50000000"
-            )
+            what = f"{self.points} points a mesh"
+            raise InputError(what, where="--points", allowed="100 to 50000000")
         shares = (self.wide_share, self.near_share, 1 - self.wide_share - self.near_share)
         if min(shares) < -1e-9:
             raise InputError(f"shares of {shares}", where="sampling", allowed="three that sum to 1")
@@ -69,10 +68,7 @@ class SdfSamples:
 
 
 def sample_sdf(
-    vertices: Array,
-    faces: NDArray[np.int32],
-    config: SamplingConfig,
-    rng: np.random.Generator,
+    vertices: Array, faces: NDArray[np.int32], config: SamplingConfig, rng: np.random.Generator
 ) -> SdfSamples:
     """Points around a closed mesh with exact signed distances.
 

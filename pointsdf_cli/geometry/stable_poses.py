@@ -72,14 +72,9 @@ def stable_poses(vertices: Array, centre_of_mass: Array) -> list[StablePose]:
         mass = rotation @ centre_of_mass
         floor = placed[:, 2].min()
         pose = transform(rotation, [-mass[0], -mass[1], -floor])
-        poses.append(
-            StablePose(
-                pose,
-                float(probability),
-                float(np.ptp(placed[:, 2])),
-                tilt_margin(placed - [0, 0, floor], mass - [0, 0, floor]),
-            )
-        )
+        height = float(np.ptp(placed[:, 2]))
+        margin = tilt_margin(placed - [0, 0, floor], mass - [0, 0, floor])
+        poses.append(StablePose(pose, float(probability), height, margin))
     return sorted(poses, key=lambda pose: -pose.probability)
 
 

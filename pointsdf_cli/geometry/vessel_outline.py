@@ -101,13 +101,8 @@ def wall_outline(section: Section, base: float | None) -> Outline:
         outside, inside = outside + overlap / 2, inside - overlap / 2
     thickness = min(thickness, 0.2 * size)
     outside = _whole_outside(heights, outside, _curve(angles, inside, rim), thickness)
-    filled = np.concatenate(
-        [
-            [[0.0, bottom], [outside[0], bottom]],
-            np.stack([outside, heights], axis=1),
-            [[outside[-1], rim], [0.0, rim]],
-        ]
-    )
+    below, above = [[0.0, bottom], [outside[0], bottom]], [[outside[-1], rim], [0.0, rim]]
+    filled = np.concatenate([below, np.stack([outside, heights], axis=1), above])
     cavity = _whole_cavity(heights, outside, angles, inside, thickness, bottom, rim)
     top = min(float(cavity[-1, 0]), float(outside[-1]) - THINNEST)
     wall = np.concatenate([filled[:-1], [[top, rim]], cavity[::-1], [[0.0, cavity[0, 1]]]])
@@ -226,13 +221,9 @@ def _whole_cavity(
     radii = np.maximum(outside - thickness * np.hypot(1.0, slope), 0.0005)
     top = rim + 0.001
     above = heights > bottom + thickness
-    line = np.concatenate(
-        [
-            [[0.0, bottom + thickness], [radii[0], bottom + thickness]],
-            np.stack([radii, heights], axis=1)[above],
-            [[radii[-1], top]],
-        ]
-    )
+    floor = [[0.0, bottom + thickness], [radii[0], bottom + thickness]]
+    side = np.stack([radii, heights], axis=1)[above]
+    line = np.concatenate([floor, side, [[radii[-1], top]]])
     to_wall = np.array([_ray_length(angle, line, top) for angle in angles])
     seen = np.isfinite(distances)
     most = np.where(np.isfinite(to_wall), to_wall + thickness - THINNEST, distances)

@@ -122,10 +122,8 @@ def visibility_image(
     seen = ((index >= 0) & (index < len(tangents))) | (index >= measured)
     # The last entry is that of cells that know nothing.
     depth = np.concatenate([object_points[:, 2], until, np.zeros(len(rays) + 1)])
-    shape = (SIZE, SIZE)
-    return VisibilityImage(
-        window, seen.reshape(shape), depth[index].astype(np.float32).reshape(shape)
-    )
+    free = depth[index].astype(np.float32)
+    return VisibilityImage(window, seen.reshape(SIZE, SIZE), free.reshape(SIZE, SIZE))
 
 
 def _within(tangents: Array, middle: Array, reach: float) -> Mask:
