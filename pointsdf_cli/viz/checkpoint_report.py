@@ -19,9 +19,8 @@ def checkpoint_report(path: Path, title: str) -> str:
     checkpoint = read_checkpoint(path)
     count = sum(tensor.numel() for tensor in checkpoint.weights.values())
     bits = {str(tensor.dtype).removeprefix("torch.") for tensor in checkpoint.weights.values()}
-    parts = [
-        html.note(f"{count:,} numbers in {len(checkpoint.weights)} tensors ({', '.join(bits)}).")
-    ]
+    size = f"{count:,} numbers in {len(checkpoint.weights)} tensors ({', '.join(bits)})."
+    parts = [html.note(size)]
     # An exported checkpoint has no training state, and train-gs another history.
     history = read_train_state(path).get("history", []) if has_train_state(path) else []
     if history and "object_loss" in history[0]:

@@ -136,11 +136,9 @@ def draw_sheet(items: Sequence[SheetItem]) -> Image.Image:
         tile = shaded_view(item.vertices, item.faces, TILE, colour)
         sheet.paste(Image.fromarray(tile), (left, top))
         middle = left + TILE // 2
-        for below, words, ink, font in (
-            (0, item.label, INK, lettering(text, bold=True)),
-            (int(1.25 * text), size_caption(item.vertices), FAINT_INK, lettering(text)),
-        ):
-            pen.text((middle, top + TILE + below), words, fill=ink, font=font, anchor="mt")
+        below, size = top + TILE + int(1.25 * text), size_caption(item.vertices)
+        pen.text((middle, top + TILE), item.label, INK, lettering(text, bold=True), anchor="mt")
+        pen.text((middle, below), size, FAINT_INK, lettering(text), anchor="mt")
     return sheet
 
 

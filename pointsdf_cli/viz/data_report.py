@@ -63,41 +63,35 @@ def data_report(found: DataFolder, title: str) -> str:
     parts = [html.table(("artifact", "files"), counts)]
     seen, labelled = sample_items(found)
     if seen:
+        header = ("mesh", "views", "points a view", "noise at 1.5 m [mm]", "repair")
+        of_views = [
+            (m.name, len(v.cloud), v.cloud.shape[1], 1e3 * v.noise, v.mesh_repair) for m, v in seen
+        ]
         parts += [
             html.heading("Views"),
             html.note("Each cloud as its camera sees it, coloured by depth."),
             html.picture(views_sheet(seen), "views and their clouds"),
-            html.table(
-                ("mesh", "views", "points a view", "noise at 1.5 m [mm]", "repair"),
-                [
-                    (m.name, len(v.cloud), v.cloud.shape[1], 1e3 * v.noise, v.mesh_repair)
-                    for m, v in seen
-                ],
-            ),
+            html.table(header, of_views),
         ]
     if labelled:
+        header = ("mesh", "points", "inside [%]", "median |distance| [mm]")
+        of_labels = [(mesh.name, *_figures_of(labels)) for mesh, labels in labelled]
         parts += [
             html.heading("Signed distances"),
             html.note("Left the field on a plane through the middle, right the stored labels."),
             html.picture(sdf_slices(labelled), "slices of signed distance"),
-            html.table(
-                ("mesh", "points", "inside [%]", "median |distance| [mm]"),
-                [
-                    (
-                        mesh.name,
-                        len(labels.sdf),
-                        100 * float((labels.sdf < 0).mean()),
-                        1e3 * float(np.median(np.abs(labels.sdf))),
-                    )
-                    for mesh, labels in labelled
-                ],
-            ),
+            html.table(header, of_labels),
         ]
     if not seen and not labelled:
-        parts.append(
-            html.note("No pictures: the meshes were not found. Give their folder by --meshes.")
-        )
+        absent = "No pictures: the meshes were not found. Give their folder by --meshes."
+        parts.append(html.note(absent))
     return html.page(title, parts)
+
+
+def _figures_of(labels: Labels) -> tuple[int, float, float]:
+    """Number of labels, the share of them inside [%] and their median distance [mm]."""
+    inside, distance = (labels.sdf < 0).mean(), np.median(np.abs(labels.sdf))
+    return len(labels.sdf), 100 * float(inside), 1e3 * float(distance)
 
 
 def sample_items(

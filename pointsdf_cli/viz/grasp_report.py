@@ -72,10 +72,9 @@ def film_strip(robot: RobotMeshes, film: Film) -> NDArray[np.uint8]:
 def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
     """An attempt as an animated GIF with `rate` frames a second."""
     images = [Image.fromarray(image).quantize(64) for image in _drawn(robot, film)]
+    others, duration = images[1:], round(1000 / rate)
     with atomic_path(path) as temporary:
-        images[0].save(
-            temporary, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0
-        )
+        images[0].save(temporary, save_all=True, append_images=others, duration=duration, loop=0)
 
 
 def grasp_report(
@@ -92,11 +91,11 @@ def grasp_report(
         strips: Captions and pictures.
         title: Title of the page.
     """
+    counts = ("attempts", "executed", "held", "held of executed")
+    by_object = [(name, meta.split, *_counts(grasps.label)) for name, grasps, meta in items]
     parts = [
         html.heading("Rates"),
-        html.table(
-            ("split", "kind", "attempts", "executed", "held", "held of executed"), _rates(items)
-        ),
+        html.table(("split", "kind", *counts), _rates(items)),
         html.heading("What became of the attempts"),
         html.table(("cause", *KINDS), _causes(items)),
     ]
@@ -104,13 +103,7 @@ def grasp_report(
         parts.append(html.heading("Before, closed, gripped, lifted, settled"))
         for caption, image in strips:
             parts += [html.note(caption), html.png(png_bytes(image), caption)]
-    parts += [
-        html.heading("By object"),
-        html.table(
-            ("object", "split", "attempts", "executed", "held", "held of executed"),
-            [(name, meta.split, *_counts(grasps.label)) for name, grasps, meta in items],
-        ),
-    ]
+    parts += [html.heading("By object"), html.table(("object", "split", *counts), by_object)]
     if refused:
         parts += [html.heading("Skipped"), html.table(("object", "reason"), refused)]
     return html.page(title, parts)
@@ -176,14 +169,12 @@ def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDA
 
     def seen(eye: NDArray[np.float64]) -> int:
         """Smallest number of object pixels over all frames."""
-        small = [
-            draw_frame(robot, film.mesh, moment, eye, target, (60, 52), 1).astype(int)
-            for moment in moments
-        ]
-        # Green above red and blue, whatever the shade: only the object is painted so.
-        return min(
-            int(((image[..., 1] > image[..., 0] + 8) & (image[..., 1] > image[..., 2] + 8)).sum())
-            for image in small
-        )
+        counts = []
+        for moment in moments:
+            small = draw_frame(robot, film.mesh, moment, eye, target, (60, 52), 1).astype(int)
+            # Green above red and blue, whatever the shade: only the object is painted so.
+            red, green, blue = np.moveaxis(small, -1, 0)
+            counts.append(int(((green > red + 8) & (green > blue + 8)).sum()))
+        return min(counts)
 
     return max((target + eye for eye in EYES), key=seen), target

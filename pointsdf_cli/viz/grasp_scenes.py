@@ -61,7 +61,7 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
         chosen = spread(len(plan.times), 400)
         q = plan.trajectory[chosen]
         captions = tuple(f"{plan.times[k]:.2f} s" for k in chosen)
-        rate = len(chosen) / max(float(plan.times[-1]), 0.1)
+        rate = min(len(chosen) / max(float(plan.times[-1]), 0.1), 60.0)
     else:
         q, captions, rate = options.robot.home[None], ("at home",), 4.0
     poses = robot.poses(q)
@@ -73,16 +73,13 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
         poses = np.concatenate([poses, goal], axis=1)
     facts = [("status", plan.status)]
     if plan.status == OK:
-        facts += [
-            ("probability of success", f"{plan.success_probability:.3f}"),
-            ("seconds of motion", f"{plan.times[-1]:.2f}" if len(plan.times) else "none"),
-        ]
+        duration = f"{plan.times[-1]:.2f}" if len(plan.times) else "none"
+        facts.append(("probability of success", f"{plan.success_probability:.3f}"))
+        facts.append(("seconds of motion", duration))
     else:
         facts += [("reason", plan.reason), ("", plan.sentence)]
     facts.append(("seeds tried", str(plan.seeds_tried)))
-    return Scene(
-        path.name, tuple(parts), bodies, poses, captions, "time", min(rate, 60.0), tuple(facts)
-    )
+    return Scene(path.name, tuple(parts), bodies, poses, captions, "time", rate, tuple(facts))
 
 
 def trial_scene(path: Path, options: SceneOptions) -> Scene:

@@ -25,39 +25,33 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
         buffer = io.BytesIO()
         picture = Image.fromarray(robot_poses_picture(robot, list(moments), 380, things))
         picture.save(buffer, format="png")
-        parts += [
-            html.heading("Start, half-way, grasp"),
-            html.png(buffer.getvalue(), "the robot at the start, half-way and at the grasp"),
-        ]
+        said = "the robot at the start, half-way and at the grasp"
+        parts += [html.heading("Start, half-way, grasp"), html.png(buffer.getvalue(), said)]
     timings = sorted((name, float(seconds)) for name, seconds in plan.timings.items())
     parts += [html.heading("Time by stage"), html.table(("stage", "s"), timings)]
     if plan.status == OK:
-        rows = zip(
-            plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True
+        to_object, to_table = (
+            map(_mm, plan.link_clearance_object),
+            map(_mm, plan.link_clearance_table),
         )
+        distances = zip(plan.link_names, to_object, to_table, strict=True)
+        joints = zip(plan.joint_names, map(float, plan.q), strict=True)
         parts += [
             html.heading("Distances at the grasp"),
-            html.table(
-                ("link", "to the object [mm]", "to the table [mm]"),
-                [(link, _mm(thing), _mm(table)) for link, thing, table in rows],
-            ),
+            html.table(("link", "to the object [mm]", "to the table [mm]"), distances),
             html.heading("Configuration"),
-            html.table(
-                ("joint", "at the grasp [rad or m]"),
-                [(n, float(v)) for n, v in zip(plan.joint_names, plan.q, strict=True)],
-            ),
+            html.table(("joint", "at the grasp [rad or m]"), joints),
         ]
     if plan.rejected.reasons:
         rejected = plan.rejected
         chances, objectives = rejected.success_probability.tolist(), rejected.objective.tolist()
         seeds = zip(rejected.reasons, chances, objectives, rejected.slack, strict=True)
+        slacks = [f"slack to {name} [mm]" for name in SLACKS]
+        rows = [(*seed, *map(_mm, found)) for *seed, found in seeds]
         parts += [
             html.heading("Rejected"),
             html.note("Slack is the distance minus the required clearance: below 0 is too near."),
-            html.table(
-                ("reason", "success", "objective", *(f"slack to {slack} [mm]" for slack in SLACKS)),
-                [(*seed, *map(_mm, slacks)) for *seed, slacks in seeds],
-            ),
+            html.table(("reason", "success", "objective", *slacks), rows),
         ]
     return html.page(title, parts)
 

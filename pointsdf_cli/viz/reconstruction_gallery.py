@@ -62,12 +62,9 @@ class GalleryRow:
 def draw_gallery(path: Path | str, rows: Sequence[GalleryRow]) -> None:
     """Draw `rows` as one PNG (or PDF, by the suffix); columns of truth and of the field only where
     one is known."""
-    columns = [
-        k
-        for k in range(len(TITLES))
-        if (k not in TRUTH_COLUMNS or any(row.truth for row in rows))
-        and (k != SLICE_COLUMN or any(row.sdf for row in rows))
-    ]
+    shown = dict.fromkeys(TRUTH_COLUMNS, any(row.truth for row in rows))
+    shown[SLICE_COLUMN] = any(row.sdf for row in rows)
+    columns = [k for k in range(len(TITLES)) if shown.get(k, True)]
     # No pyplot, no display.
     figure = Figure(figsize=(2.08 * len(columns), 2.1 * len(rows) + 0.5), dpi=110)
     axes = figure.subplots(len(rows), len(columns), squeeze=False)
@@ -142,9 +139,8 @@ def _draw_slice(axis: Any, row: GalleryRow, sdf: FieldFunction) -> None:
             across, along, truth, levels=[0.0], colors=["k"], linewidths=0.9, linestyles=":"
         )
     near = np.abs(row.cloud[:, 0] - x) < 0.04 * half
-    axis.scatter(
-        100 * (row.cloud[near, 2] - middle[2]), 100 * (row.cloud[near, 1] - middle[1]), s=3, c="k"
-    )
+    beside = 100 * (row.cloud[near] - middle)
+    axis.scatter(beside[:, 2], beside[:, 1], s=3, c="k")
     axis.invert_yaxis()
     axis.set_aspect("equal")
     axis.tick_params(labelsize=5, length=2, pad=1)

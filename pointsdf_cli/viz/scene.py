@@ -83,11 +83,9 @@ class Scene:
 
     def __post_init__(self) -> None:
         if self.poses.shape != (len(self.captions), len(self.bodies), 4, 4):
-            raise InputError(
-                f"poses of shape {self.poses.shape} for {len(self.captions)} frames of "
-                f"{len(self.bodies)} bodies",
-                allowed="[F, B, 4, 4]",
-            )
+            wanted = f"{len(self.captions)} frames of {len(self.bodies)} bodies"
+            what = f"poses of shape {self.poses.shape} for {wanted}"
+            raise InputError(what, allowed="[F, B, 4, 4]")
 
     @property
     def frames(self) -> int:
@@ -149,14 +147,12 @@ def joined(scenes: Sequence[Scene]) -> Scene:
         for part in scene.parts:
             body = part.body if part.body == WORLD else part.body + start
             parts.append(replace(part, body=body, frame=None if still else part.frame))
-    return Scene(
+    return replace(
+        lead,
         title=" + ".join(scene.title for scene in scenes),
         parts=tuple(parts),
         bodies=tuple(bodies),
         poses=np.concatenate(poses, axis=1),
-        captions=lead.captions,
-        slider=lead.slider,
-        rate=lead.rate,
         facts=tuple(fact for scene in scenes for fact in scene.facts),
     )
 

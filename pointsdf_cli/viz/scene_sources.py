@@ -68,14 +68,11 @@ def kind_of(path: Path) -> str:
         schema = schema_of(path)
         if schema in ARTIFACTS:
             return schema
-        raise InputError(
-            f"holds {schema}, which has no picture", where=path, allowed=", ".join(ARTIFACTS)
-        )
-    raise InputError(
-        f"{suffix or 'a file without suffix'} cannot be shown",
-        where=path,
-        allowed=", ".join([*dict.fromkeys([*CLOUD_SUFFIXES, *MESH_SUFFIXES]), ".h5", ".yaml"]),
-    )
+        what = f"holds {schema}, which has no picture"
+        raise InputError(what, where=path, allowed=", ".join(ARTIFACTS))
+    known = dict.fromkeys([*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".h5", ".yaml"])
+    what = f"{suffix or 'a file without suffix'} cannot be shown"
+    raise InputError(what, where=path, allowed=", ".join(known))
 
 
 def require_joints(path: Path, names: Sequence[str], robot: RobotDescription) -> None:

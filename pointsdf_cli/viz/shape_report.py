@@ -35,15 +35,13 @@ def shape_report(path: Path, unit: str, title: str) -> str:
     if is_cloud(path):
         cloud = read_cloud(path, unit, drop_invalid=True)
         figure = _sides(apply_transform(cloud_place(cloud), cloud.points))
-        said = (
-            "The points as seen from the robot, from its right and from above, coloured by height."
-        )
+        sides = "from the robot, from its right and from above"
+        said = f"The points as seen {sides}, coloured by height."
     else:
         figure, said = _turned(load_mesh(path, unit)), "Red is the back of a face."
     rows = [(name, str(value)) for name, value in facts.items() if value is not None]
-    return html.page(
-        title, [html.table(("", ""), rows), html.note(said), html.picture(figure, path.name)]
-    )
+    parts = [html.table(("", ""), rows), html.note(said), html.picture(figure, path.name)]
+    return html.page(title, parts)
 
 
 def _sides(points: NDArray[np.floating]) -> Figure:

@@ -54,9 +54,7 @@ class Viewer:
             self._server.scene.add_frame(f"/bodies/{k}", show_axes=False)
             for k in range(len(scene.bodies))
         ]
-        self._parts: list[tuple[Part, Any]] = [
-            (part, self._add(i, part)) for i, part in enumerate(scene.parts)
-        ]
+        self._parts = [(part, self._add(i, part)) for i, part in enumerate(scene.parts)]
         self._hidden: set[str] = set()
         self.frame = 0
         self._look_at_it()
@@ -108,14 +106,11 @@ class Viewer:
         name = f"{above}/{number}"
         colours = (part.vertex_colours() * 255).round().astype(np.uint8)
         if part.kind == "points":
-            size = float(np.ptp(self.scene.bounds(), axis=0).max())
-            return scene.add_point_cloud(
-                name, part.vertices, colours, point_size=max(size, 0.05) / 250
-            )
+            size = max(float(np.ptp(self.scene.bounds(), axis=0).max()), 0.05) / 250
+            return scene.add_point_cloud(name, part.vertices, colours, point_size=size)
         if part.kind == "lines":
-            return scene.add_line_segments(
-                name, part.vertices.reshape(-1, 2, 3), colours.reshape(-1, 2, 3), line_width=2.5
-            )
+            ends, of_ends = (values.reshape(-1, 2, 3) for values in (part.vertices, colours))
+            return scene.add_line_segments(name, ends, of_ends, line_width=2.5)
         return scene.add_mesh_simple(
             name,
             part.vertices,
