@@ -74,13 +74,12 @@ def data_report(found: DataFolder, title: str) -> str:
             html.table(header, of_views),
         ]
     if labelled:
-        header = ("mesh", "points", "inside [%]", "median |distance| [mm]")
         of_labels = [(mesh.name, *_figures_of(labels)) for mesh, labels in labelled]
         parts += [
             html.heading("Signed distances"),
             html.note("Left the field on a plane through the middle, right the stored labels."),
             html.picture(sdf_slices(labelled), "slices of signed distance"),
-            html.table(header, of_labels),
+            html.table(("mesh", "points", "inside [%]", "median |distance| [mm]"), of_labels),
         ]
     if not seen and not labelled:
         absent = "No pictures: the meshes were not found. Give their folder by --meshes."
