@@ -86,12 +86,9 @@ def _read(
     count = max(model.cloud_size, min(len(points), model.most_points))
     cloud = points[systematic_sample(points[:, :2], count, rng)]
     device = next(model.parameters()).device
-    encoding = model.encode(
-        float_tensor(frame.to_network(cloud), device)[None],
-        float_tensor(frame.to_network(np.zeros(3)), device)[None],
-        surroundings=surroundings_of([evidence], [frame], device),
-    )
-    return Sampling(frame, encoding)
+    inputs = (float_tensor(frame.to_network(x), device)[None] for x in (cloud, np.zeros(3)))
+    around = surroundings_of([evidence], [frame], device)
+    return Sampling(frame, model.encode(*inputs, surroundings=around))
 
 
 @torch.no_grad()

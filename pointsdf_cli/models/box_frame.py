@@ -72,20 +72,13 @@ def box_frame(normals: Tensor, cloud: Tensor, camera: Tensor, axis: Axis) -> Box
     view = torch.nn.functional.normalize(camera, dim=-1)
     facing = (frame @ view.unsqueeze(-1)).squeeze(-1)
     order = facing.abs().argsort(dim=1, descending=True, stable=True)
-    frame = (frame * torch.where(facing < 0, -1.0, 1.0).unsqueeze(-1)).gather(
-        1, order.unsqueeze(-1).expand(-1, -1, 3)
-    )
+    towards = frame * torch.where(facing < 0, -1.0, 1.0).unsqueeze(-1)
+    frame = towards.gather(1, order.unsqueeze(-1).expand(-1, -1, 3))
     facing = facing.abs().gather(1, order)
     kept = (normals @ frame.transpose(1, 2)).square()
-    trust = torch.cat(
-        [
-            kept.square().mean(1),
-            (kept > 0.9).to(kept.dtype).mean(1),
-            facing,
-            (1.0 - kept.square().sum(-1).mean(1, keepdim=True)),
-        ],
-        dim=-1,
-    )
+    along, aligned = kept.square().mean(1), (kept > 0.9).to(kept.dtype).mean(1)
+    askew = 1.0 - kept.square().sum(-1).mean(1, keepdim=True)
+    trust = torch.cat([along, aligned, facing, askew], dim=-1)
     return box_around(cloud, axis, frame, trust)
 
 
@@ -123,17 +116,9 @@ def box_evidence(x: Tensor, box: BoxFrame, axis: Axis) -> Tensor:
     to_box = (outside.clamp(min=0.0).square().sum(-1, keepdim=True) + 1e-8).sqrt()
     to_box = to_box + outside.amax(-1, keepdim=True).clamp(max=0.0)
     radius, height, _ = cylindrical(x, axis)
-    turned = box.turned.unsqueeze(1)
-    around = torch.cat(
-        [
-            radius - turned[..., :1],
-            height - turned[..., 1:2],
-            turned[..., 2:3] - height,
-            turned[..., 3:4] - height,
-        ],
-        dim=-1,
-    )
-    gaps = torch.cat([before, behind, inner, around, to_box], dim=-1)
+    rim, top, bottoms = box.turned.unsqueeze(1).split((1, 1, 2), dim=-1)
+    around = radius - rim, height - top, bottoms - height
+    gaps = torch.cat([before, behind, inner, *around, to_box], dim=-1)
     trust = box.trust.unsqueeze(1).expand(-1, x.shape[1], -1)
     return torch.cat([gaps, torch.tanh(gaps / SHARP), torch.tanh(gaps / SOFT), trust], dim=-1)
 

@@ -33,17 +33,10 @@ def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
     """
     queries, points = queries.float(), points.float()
     # [−2q, |q|², 1] · [p, 1, |p|²]: one product in place of a product and two broadcast sums.
-    left = torch.cat(
-        [
-            -2.0 * queries,
-            (queries * queries).sum(-1, keepdim=True),
-            torch.ones_like(queries[..., :1]),
-        ],
-        dim=-1,
-    )
-    right = torch.cat(
-        [points, torch.ones_like(points[..., :1]), (points * points).sum(-1, keepdim=True)], dim=-1
-    )
+    ones, squares = torch.ones_like(queries[..., :1]), (queries * queries).sum(-1, keepdim=True)
+    left = torch.cat([-2.0 * queries, squares, ones], dim=-1)
+    ones, squares = torch.ones_like(points[..., :1]), (points * points).sum(-1, keepdim=True)
+    right = torch.cat([points, ones, squares], dim=-1)
     with torch.autocast(queries.device.type, enabled=False):
         return torch.bmm(left, right.transpose(1, 2)).clamp_(min=0.0)
 

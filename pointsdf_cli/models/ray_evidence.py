@@ -79,31 +79,14 @@ def ray_evidence(
     lateral = _length(aside)
     in_front = lateral.detach().argmin(-1, keepdim=True)
 
-    scalars = torch.stack(
-        [
-            distance.amin(-1),
-            distance.mean(-1),
-            lateral.amin(-1),
-            lateral.mean(-1),
-            behind.gather(-1, in_front).squeeze(-1),
-            behind.mean(-1),
-            behind.amin(-1),
-            behind.amax(-1),
-            x_image[..., 2] + camera[:, 2].unsqueeze(1),
-        ],
-        dim=-1,
-    )
-    return torch.cat(
-        [
-            scalars,
-            torch.tanh(scalars / SHARP),
-            torch.tanh(scalars / SOFT),
-            _pick(offset, closest) / SOFT,
-            offset.mean(2) / SOFT,
-            aside.mean(2) / SOFT,
-        ],
-        dim=-1,
-    )
+    away = distance.amin(-1), distance.mean(-1), lateral.amin(-1), lateral.mean(-1)
+    hidden = behind.gather(-1, in_front).squeeze(-1)
+    depths = hidden, behind.mean(-1), behind.amin(-1), behind.amax(-1)
+    depth = x_image[..., 2] + camera[:, 2].unsqueeze(1)
+    scalars = torch.stack([*away, *depths, depth], dim=-1)
+    vectors = _pick(offset, closest) / SOFT, offset.mean(2) / SOFT, aside.mean(2) / SOFT
+    saturating = torch.tanh(scalars / SHARP), torch.tanh(scalars / SOFT)
+    return torch.cat([scalars, *saturating, *vectors], dim=-1)
 
 
 def _pick(vectors: Tensor, index: Tensor) -> Tensor:

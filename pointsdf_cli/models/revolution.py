@@ -112,9 +112,8 @@ def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor, sideways: f
     point = torch.cross(direction, line_moment, dim=-1)
     away = ((camera - point) * direction).sum(-1, keepdim=True) < 0
     spread = (values[:, 1] - values[:, 0]) / values[:, 1].clamp(min=1e-12)
-    return Axis(
-        torch.where(away, -direction, direction), point, miss.abs().median(1).values, spread
-    )
+    towards = torch.where(away, -direction, direction)
+    return Axis(towards, point, miss.abs().median(1).values, spread)
 
 
 def cylindrical(x: Tensor, axis: Axis) -> tuple[Tensor, Tensor, Tensor]:
@@ -162,17 +161,8 @@ def symmetric_points(
     direction = axis.direction.unsqueeze(1)
     symmetric = axis.point.unsqueeze(1) + height * direction + radius * seen_radial
     turned = (radial * seen_radial).sum(-1, keepdim=True)
-    whole = torch.stack([axis.miss / 0.01, axis.miss / 0.05], dim=-1).unsqueeze(1)
-    trust = torch.cat(
-        [
-            torch.tanh(whole).expand(-1, x.shape[1], -1),
-            axis.spread.view(-1, 1, 1).expand(-1, x.shape[1], 1),
-            turned,
-            torch.tanh((radius - seen_radius) / 0.05),
-            torch.tanh((height - seen_height) / 0.05),
-            radius,
-            height,
-        ],
-        dim=-1,
-    )
-    return symmetric, trust
+    miss = torch.tanh(torch.stack([axis.miss / 0.01, axis.miss / 0.05], dim=-1))
+    of_axis = miss.unsqueeze(1), axis.spread.view(-1, 1, 1)
+    same = (each.expand(-1, x.shape[1], -1) for each in of_axis)
+    off = (torch.tanh(d / 0.05) for d in (radius - seen_radius, height - seen_height))
+    return symmetric, torch.cat([*same, turned, *off, radius, height], dim=-1)

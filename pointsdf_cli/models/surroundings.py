@@ -96,9 +96,8 @@ def surroundings_of(
 ) -> Surroundings:
     """The evidence of several views as one batch."""
     rows = [surroundings_arrays(e, f) for e, f in zip(evidence, frames, strict=True)]
-    return Surroundings(
-        *(torch.from_numpy(np.stack(column)).to(device) for column in zip(*rows, strict=True))
-    )
+    columns = map(np.stack, zip(*rows, strict=True))
+    return Surroundings(*(torch.from_numpy(column).to(device) for column in columns))
 
 
 def no_surroundings(count: int, device: torch.device) -> Surroundings:
@@ -146,12 +145,9 @@ def transformed(
     linear = to_map[:, :, :2] @ turn[:, :2, :2].transpose(1, 2) / scale.view(-1, 1, 1)
     normal = (turn @ plane[:, :3, None]).squeeze(-1)
     offset = (plane[:, 3] - (normal * centre).sum(-1)) * scale
-    return Surroundings(
-        maps * lengths,
-        torch.cat([linear, to_map[:, :, 2:]], dim=-1),
-        torch.cat([normal, offset[:, None]], dim=-1),
-        known,
-    )
+    to_map = torch.cat([linear, to_map[:, :, 2:]], dim=-1)
+    plane = torch.cat([normal, offset[:, None]], dim=-1)
+    return Surroundings(maps * lengths, to_map, plane, known)
 
 
 def visibility_evidence(x_image: Tensor, camera: Tensor, around: Surroundings) -> Tensor:
@@ -175,10 +171,8 @@ def visibility_evidence(x_image: Tensor, camera: Tensor, around: Surroundings) -
     known = around.known[:, :1]
     lengths = torch.stack([(free - depth).clamp(-1.0, 1.0), to_free, to_seen], dim=-1)
     lengths = lengths * known.unsqueeze(-1)
-    return torch.cat(
-        [lengths, torch.tanh(lengths / SHARP), torch.tanh(lengths / SOFT), unknown.unsqueeze(-1)],
-        dim=-1,
-    )
+    saturating = torch.tanh(lengths / SHARP), torch.tanh(lengths / SOFT)
+    return torch.cat([lengths, *saturating, unknown.unsqueeze(-1)], dim=-1)
 
 
 def plane_evidence(x: Tensor, cloud: Tensor, around: Surroundings) -> Tensor:
@@ -197,16 +191,10 @@ def plane_evidence(x: Tensor, cloud: Tensor, around: Surroundings) -> Tensor:
     height = ((x @ normal).squeeze(-1) - offset) * known
     heights = (cloud @ normal).squeeze(-1) - offset
     ends = torch.stack([heights.amin(1), heights.amax(1)], dim=-1) * known
-    count = x.shape[1]
-    return torch.cat(
-        [
-            torch.stack([height, torch.tanh(height / SHARP), torch.tanh(height / SOFT)], dim=-1),
-            around.plane[:, None, :3].expand(-1, count, -1),
-            ends.unsqueeze(1).expand(-1, count, -1),
-            around.known.unsqueeze(1).expand(-1, count, -1),
-        ],
-        dim=-1,
-    )
+    lengths = torch.stack([height, torch.tanh(height / SHARP), torch.tanh(height / SOFT)], dim=-1)
+    of_view = around.plane[:, :3], ends, around.known
+    same = (each.unsqueeze(1).expand(-1, x.shape[1], -1) for each in of_view)
+    return torch.cat([lengths, *same], dim=-1)
 
 
 def signed_distance(inside: NDArray[np.bool_], cell: float, widest: float) -> NDArray[np.float64]:

@@ -75,13 +75,9 @@ class VoxelCNN(ShapeModel):
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
         # grid_sample wants coordinates (last axis first) with ±1 at the outer voxels' centres.
-        place = x.flip(-1) / (VOXEL * (GRID - 1) / 2.0)
-        logits = nn.functional.grid_sample(
-            encoding.evidence["logits"].to(x.dtype),
-            place[:, :, None, None, :],
-            padding_mode="border",
-            align_corners=True,
-        )
+        place = (x.flip(-1) / (VOXEL * (GRID - 1) / 2.0))[:, :, None, None, :]
+        known = encoding.evidence["logits"].to(x.dtype)
+        logits = nn.functional.grid_sample(known, place, padding_mode="border", align_corners=True)
         return -LOGIT_SLOPE * logits[:, 0, :, 0, 0]
 
 
