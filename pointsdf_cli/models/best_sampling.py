@@ -86,9 +86,10 @@ def _read(
     count = max(model.cloud_size, min(len(points), model.most_points))
     cloud = points[systematic_sample(points[:, :2], count, rng)]
     device = next(model.parameters()).device
-    inputs = (float_tensor(frame.to_network(x), device)[None] for x in (cloud, np.zeros(3)))
+    places = (float_tensor(frame.to_network(x), device)[None] for x in (cloud, np.zeros(3)))
+    seen, camera = places
     around = surroundings_of([evidence], [frame], device)
-    return Sampling(frame, model.encode(*inputs, surroundings=around))
+    return Sampling(frame, model.encode(seen, camera, surroundings=around))
 
 
 @torch.no_grad()

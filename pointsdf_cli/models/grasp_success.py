@@ -151,12 +151,9 @@ class GeometryNet(Rebuildable):
 
     def members(self, features: Tensor) -> Tensor:
         """Raw logits [M, B] of each member for features [B, F]."""
-        x = self.scale(features)
-        if self.training:
-            # Each member drops other features; otherwise all would learn the same.
-            x = x.expand(self.member_count, -1, -1)
-        else:
-            x = x[None]
+        # In training each member drops other features; otherwise all would learn the same.
+        copies = self.member_count if self.training else 1
+        x = self.scale(features).expand(copies, -1, -1)
         return self.leave(self.hidden(self.enter(x))).squeeze(-1)
 
     def forward(self, features: Tensor) -> Tensor:

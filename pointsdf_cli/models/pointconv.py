@@ -28,13 +28,8 @@ class ChannelNorm(nn.Module):
     def __init__(self, channels: int, kind: str) -> None:
         super().__init__()
         self.kind = kind
-        self.norm: nn.Module
-        if kind == "batch":
-            self.norm = nn.BatchNorm1d(channels)
-        elif kind == "layer":
-            self.norm = nn.LayerNorm(channels)
-        else:
-            self.norm = nn.Identity()
+        norms: dict[str, type[nn.Module]] = {"batch": nn.BatchNorm1d, "layer": nn.LayerNorm}
+        self.norm = norms.get(kind, nn.Identity)(channels)
 
     def forward(self, x: Tensor) -> Tensor:
         if self.kind == "batch":
@@ -81,11 +76,9 @@ class PointConv(nn.Module):
             if norm == "batch" or step < len(widths) - 2:
                 layers.append(nn.ReLU())
         self.weight_net = nn.Sequential(*layers)
-        self.density_net = (
-            nn.Sequential(Linear(1, 16), nn.ReLU(), Linear(16, 1), nn.Sigmoid())
-            if density
-            else None
-        )
+        self.density_net = None
+        if density:
+            self.density_net = nn.Sequential(Linear(1, 16), nn.ReLU(), Linear(16, 1), nn.Sigmoid())
         self.out = Linear(hidden[-1] * weight_channels, out_channels)
         self.out_norm = ChannelNorm(out_channels, norm)
 

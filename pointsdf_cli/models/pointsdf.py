@@ -25,6 +25,8 @@ from pointsdf_cli.models.surroundings import Surroundings
 
 BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)
 """Bandwidth of the density's Gaussian kernel in each layer, network units."""
+MLPS = ((32, 32, 64), (64, 64, 64), (128, 128, 256), (256, 256, 512))
+"""Widths of the layers' mlps in the paper."""
 
 
 class PointSDF(ShapeModel):
@@ -47,12 +49,7 @@ class PointSDF(ShapeModel):
         self,
         centres: Sequence[int] = (512, 256, 64, 36),
         neighbours: Sequence[int] = (32, 32, 32, 32),
-        mlps: Sequence[Sequence[int]] = (
-            (32, 32, 64),
-            (64, 64, 64),
-            (128, 128, 256),
-            (256, 256, 512),
-        ),
+        mlps: Sequence[Sequence[int]] = MLPS,
         weight_channels: int = 32,
         query_width: int = 512,
         head: Sequence[int] = (512, 512, 256),
@@ -69,11 +66,8 @@ class PointSDF(ShapeModel):
             PointConv(channels, mlp, weight_channels=weight_channels)
             for channels, mlp in zip(inputs, mlps, strict=True)
         )
-        self.to_embedding = nn.Sequential(
-            nn.Linear(centres[-1] * mlps[-1][-1], self.embedding_size),
-            ChannelNorm(self.embedding_size, "batch"),
-            nn.ReLU(),
-        )
+        batch_norm = partial(ChannelNorm, kind="batch")
+        self.to_embedding = dense([centres[-1] * mlps[-1][-1], self.embedding_size], batch_norm)
         self.query = nn.Sequential(
             nn.Linear(3, query_width),
             nn.ReLU(),
@@ -81,7 +75,7 @@ class PointSDF(ShapeModel):
             nn.ReLU(),
             nn.Dropout(dropout),
         )
-        joint, batch_norm = 2 * self.embedding_size, partial(ChannelNorm, kind="batch")
+        joint = 2 * self.embedding_size
         self.head = dense([joint, *head], batch_norm)
         self.tail = dense([head[-1] + joint, *tail], batch_norm)
         self.leave = nn.Linear(tail[-1], 1)
@@ -93,21 +87,17 @@ class PointSDF(ShapeModel):
         neighbours: Tensor | None = None,
         surroundings: Surroundings | None = None,
     ) -> Encoding:
+        points = cloud
         if neighbours is None:
             points = gather(cloud, farthest_point_order(cloud, self.centres[0]))
-        else:
-            points = cloud[:, : self.centres[0]]
         below, features = cloud, None
-        for layer, count, k, bandwidth in zip(
-            self.layers, self.centres, self.neighbours, BANDWIDTHS, strict=True
-        ):
+        levels = zip(self.layers, self.centres, self.neighbours, BANDWIDTHS, strict=True)
+        for layer, count, k, bandwidth in levels:
             # Farthest point orders are nested: a coarser level is a prefix of the finer one.
             centres = points[:, :count]
-            index = neighbours if neighbours is not None and below is cloud else None
-            if index is None:
-                index = nearest_neighbours(centres, below, k)
+            index = nearest_neighbours(centres, below, k) if neighbours is None else neighbours
             features = layer(below, features, centres, index, inverse_density(below, bandwidth))
-            below = centres
+            below, neighbours = centres, None
         assert features is not None
         return Encoding(self.to_embedding(features.flatten(1)), {})
 

@@ -16,13 +16,14 @@ Everything is normalised per sample (LayerNorm), so a value never depends on the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
 from pointsdf_cli.models.box_frame import BOX_SIZE, BoxFrame, box_evidence, box_frame
 from pointsdf_cli.models.decoder_parts import CentreAttention, LocalFeatures, ResidualBlock
-from pointsdf_cli.models.linear import Linear
+from pointsdf_cli.models.linear import Linear, dense
 from pointsdf_cli.models.neighbours import (
     SEARCHES,
     farthest_point_order,
@@ -49,6 +50,8 @@ from pointsdf_cli.models.surroundings import (
     visibility_evidence,
 )
 
+RADII = (0.1, 0.2, 0.35, 0.5)
+"""Typical neighbourhood size of each PointConv layer, network units."""
 OCTAVES = 4
 """Frequencies of the sines and cosines of a query's coordinates."""
 
@@ -106,25 +109,15 @@ class PointSDFRay(ShapeModel):
         self.most_points = most_points
         self.packed_neighbours = (centres[0], neighbours[0])
         self._check()
+        layer = partial(
+            PointConv, weight_channels=8, weight_hidden=(16,), density=False, norm="layer"
+        )
+        sizes = zip((0, *channels[:-1]), hidden, channels, RADII, strict=True)
         self.layers = nn.ModuleList(
-            PointConv(
-                in_channels,
-                (mid, out),
-                weight_channels=8,
-                weight_hidden=(16,),
-                density=False,
-                norm="layer",
-                radius=radius,
-            )
-            for in_channels, mid, out, radius in zip(
-                (0, *channels[:-1]), hidden, channels, (0.1, 0.2, 0.35, 0.5), strict=True
-            )
+            layer(inputs, (mid, out), radius=radius) for inputs, mid, out, radius in sizes
         )
-        self.to_embedding = nn.Sequential(
-            Linear(centres[-1] * channels[-1], self.embedding_size),
-            nn.LayerNorm(self.embedding_size),
-            nn.ReLU(),
-        )
+        embedded = [centres[-1] * channels[-1], self.embedding_size]
+        self.to_embedding = dense(embedded, nn.LayerNorm, linear=Linear)
         self.local_fine = LocalFeatures(channels[0], local, radius=0.1)
         self.local_coarse = LocalFeatures(channels[1], local, radius=0.2)
         self.local_image = LocalFeatures(channels[1], local, radius=0.2)
@@ -201,9 +194,8 @@ class PointSDFRay(ShapeModel):
         search = SEARCHES[self.search]
         features = self.layers[0](cloud, None, points, neighbours)
         levels = [(points, features)]
-        for layer, count, k in zip(
-            list(self.layers)[1:], self.centres[1:], self.neighbours[1:], strict=True
-        ):
+        coarser = zip(list(self.layers)[1:], self.centres[1:], self.neighbours[1:], strict=True)
+        for layer, count, k in coarser:
             # Farthest point orders are nested, so a coarser level is a prefix of the finer one.
             coarse = points[:, :count]
             features = layer(points, features, coarse, search(coarse, points, k))
