@@ -35,11 +35,8 @@ class HandChain:
     """
 
     def __init__(self, robot: RobotDescription, wanted: Collection[str]) -> None:
-        self.links = tuple(
-            link
-            for link in robot.hand_links
-            if link == robot.palm_link or not {*wanted}.isdisjoint(robot.tree.carried([link]))
-        )
+        carry = {link for link in robot.hand_links if {*wanted} & {*robot.tree.carried([link])}}
+        self.links = tuple(link for link in robot.hand_links if link in {robot.palm_link, *carry})
         joints = [robot.tree.above[link] for link in self.links[1:]]
 
         def constant(array: Array) -> Tensor:

@@ -179,11 +179,8 @@ class HandSweep:
         axis = torch.einsum("kijn,kj->kin", turn, self._chain.axes[self._preshape])
         free = torch.ones(len(q), stages, count)
         free[self._closing] = closing.eq(wanted).float()
-        return points, JointAxes(
-            axis.unflatten(2, (stages, count)),
-            position.index_select(0, link).unflatten(2, (stages, count)),
-            free[self._preshape],
-        )
+        origin = position.index_select(0, link).unflatten(2, (stages, count))
+        return points, JointAxes(axis.unflatten(2, (stages, count)), origin, free[self._preshape])
 
     def joint_slopes(self, axes: JointAxes, points: Tensor, forces: Tensor) -> Tensor:
         """dL/d preshape [B, K] from dL/d points, both [3, S M + P + G, B] in the palm frame."""
@@ -211,16 +208,11 @@ class HandSweep:
     ) -> None:
         moved = set(robot.tree.beyond(robot.closing_joints))
         shown = {k: link for k, link in enumerate(self._chain.links) if link in surface}
+        per_pad, per_link = self.config.points_per_pad, self.config.points_per_link
         pads = {
-            k: pad_points(surface[link], ahead(k), self.config.points_per_pad)
-            for k, link in shown.items()
-            if link in moved
+            k: pad_points(surface[n], ahead(k), per_pad) for k, n in shown.items() if n in moved
         }
-        still = {
-            k: middles(surface[link], self.config.points_per_link)
-            for k, link in shown.items()
-            if link not in moved
-        }
+        still = {k: middles(surface[n], per_link) for k, n in shown.items() if n not in moved}
         if not pads:
             raise InputError(
                 "no link with a shape moves when the hand closes",
@@ -240,9 +232,8 @@ class HandSweep:
         begin = self.config.stages // 4
         closing = start[self._closing] + self._advance[begin : begin + 2]
         closing = closing.clamp(self._lower, self._upper).T
-        rotation, position = self._chain(
-            start[:, None].expand(-1, 2).index_copy(0, self._closing, closing)
-        )
+        q = start[:, None].expand(-1, 2).index_copy(0, self._closing, closing)
+        rotation, position = self._chain(q)
 
         def of_link(link: int) -> Motion:
             before, after = (
@@ -280,15 +271,10 @@ class _Swept(torch.autograd.Function):
         points, rows = ctx.saved_tensors
         to_preshape = to_palm = None
         if ctx.axes is not None:
-            turned = torch.stack(
-                [
-                    slope[0]
-                    .mul(rows[0, j])
-                    .addcmul_(slope[1], rows[1, j])
-                    .addcmul_(slope[2], rows[2, j])
-                    for j in range(3)
-                ]
-            )
+            turned = slope.new_empty(slope.shape)
+            for j, out in enumerate(turned):
+                torch.mul(slope[0], rows[0, j], out=out)
+                out.addcmul_(slope[1], rows[1, j]).addcmul_(slope[2], rows[2, j])
             to_preshape = ctx.sweep.joint_slopes(ctx.axes, points, turned)
         if ctx.needs_input_grad[1]:
             to_palm = torch.stack(
