@@ -6,6 +6,7 @@ In that frame every object has the same size, so one grid and one set of toleran
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,25 +91,22 @@ def mesh_reconstruction(
     model = reconstruction.model
     rules = SearchRules() if model.gives_distances else SearchRules(slope=np.inf)
     interpolated = model.gives_distances and not exact and resolution > rules.smooth_from
+    if interpolated:
+        # An exact SDF's slope. A network is steeper in places, which hides a thousandth of the
+        # crossed cells (docs/notebook.md).
+        rules = replace(rules, slope=1.0, smooth=LARGEST_BEND)
     config = IsosurfaceConfig(
         resolution,
         half_width=model.box,
         asked=FINEST_EVALUATED if interpolated else MAX_RESOLUTION,
-        # An exact SDF's slope. A network is steeper in places, which hides a thousandth of the
-        # crossed cells (docs/notebook.md).
-        rules=replace(rules, slope=1.0, smooth=LARGEST_BEND) if interpolated else rules,
+        rules=rules,
         newton=smoothing == 0,
         smallest_part=smallest_part,
     )
     surface = extract_isosurface(network_field(reconstruction, field), config)
-    return ReconstructedMesh(
-        vertices=_in_cloud_frame(
-            reconstruction, taubin_smooth(surface.vertices, surface.faces, smoothing)
-        ),
-        faces=surface.faces,
-        queries=surface.queries,
-        parts_dropped=surface.parts_dropped,
-    )
+    smooth = taubin_smooth(surface.vertices, surface.faces, smoothing)
+    vertices = _in_cloud_frame(reconstruction, smooth)
+    return ReconstructedMesh(vertices, surface.faces, surface.queries, surface.parts_dropped)
 
 
 def _vessel_mesh(
@@ -121,13 +119,8 @@ def _vessel_mesh(
     """The wall, however thin, and the network's mesh of the other parts, united."""
     queries, others = 0, None
     try:
-        others = mesh_reconstruction(
-            reconstruction,
-            resolution,
-            smallest_part,
-            smoothing,
-            lambda x: vessel.other_parts(x, reconstruction.network_sdf),
-        )
+        field = partial(vessel.other_parts, network=reconstruction.network_sdf)
+        others = mesh_reconstruction(reconstruction, resolution, smallest_part, smoothing, field)
         queries = others.queries
     except EmptySurfaceError:
         pass  # a vessel without handles

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -95,14 +96,8 @@ class Reconstruction:
         rng = np.random.default_rng(seed)
         known = evidence or ViewEvidence()
         frame, encoding = best_sampling(model, in_camera, known, tries, rng)
-        shape = cls(
-            model=model,
-            encoding=encoding,
-            centre=rotation @ frame.centre + position,
-            scale=frame.scale,
-            R_frame_camera=rotation,
-            size=np.ptp(in_camera, axis=0),
-        )
+        centre, size = rotation @ frame.centre + position, np.ptp(in_camera, axis=0)
+        shape = cls(model, encoding, centre, frame.scale, rotation, size)
         if not (vessels and model.completes_vessels):
             return shape
         plane = None if evidence is None else evidence.support_plane
@@ -140,7 +135,7 @@ class Reconstruction:
         if self.vessel is None:
             return self.network_sdf(x, chunk)
         places = np.asarray(x, dtype=np.float64)
-        values = self.vessel.sdf(places.reshape(-1, 3), lambda y: self.network_sdf(y, chunk))
+        values = self.vessel.sdf(places.reshape(-1, 3), partial(self.network_sdf, chunk=chunk))
         return values.astype(np.float32).reshape(places.shape[:-1])
 
     def sdf_and_gradient(
@@ -150,14 +145,10 @@ class Reconstruction:
         if self.vessel is None:
             return self._network_sdf_and_gradient(x, chunk)
         places = np.asarray(x, dtype=np.float64)
-        values, gradients = self.vessel.sdf_and_gradient(
-            places.reshape(-1, 3), lambda y: self._network_sdf_and_gradient(y, chunk)
-        )
-        shape = places.shape
-        return (
-            values.astype(np.float32).reshape(shape[:-1]),
-            gradients.astype(np.float32).reshape(shape),
-        )
+        network = partial(self._network_sdf_and_gradient, chunk=chunk)
+        values, gradients = self.vessel.sdf_and_gradient(places.reshape(-1, 3), network)
+        distances = values.astype(np.float32).reshape(places.shape[:-1])
+        return distances, gradients.astype(np.float32).reshape(places.shape)
 
     @torch.no_grad()
     def network_sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:

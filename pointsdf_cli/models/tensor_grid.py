@@ -67,9 +67,8 @@ class TensorGrid:
         """Values [N] m and gradients [3, N] at the coordinates [3, N] m."""
         parts, inside = [], []
         index: Tensor | None = None
-        for plane, low, inverse, cells in zip(
-            planes, self._low, self._inverse, self._cells, strict=True
-        ):
+        axes = zip(planes, self._low, self._inverse, self._cells, strict=True)
+        for plane, low, inverse, cells in axes:
             free = (plane - low).mul_(inverse)
             place = free.clamp(0.0, cells)
             # Clamped again as a cell index: NaN has none.
@@ -88,9 +87,8 @@ class TensorGrid:
             return value, None
         along_y = cy.addcmul_(cxy, x).addcmul_(cyz.addcmul_(cxyz, x), z)
         along_z = cz.addcmul_(cxz, x).addcmul_(cyz, y)
-        return value, torch.stack(
-            [a.mul_(w) for a, w in zip((along_x, along_y, along_z), inside, strict=True)]
-        )
+        slopes = zip((along_x, along_y, along_z), inside, strict=True)
+        return value, torch.stack([slope.mul_(within) for slope, within in slopes])
 
 
 class _LookUp(torch.autograd.Function):
