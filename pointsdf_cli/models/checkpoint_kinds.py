@@ -21,9 +21,9 @@ def require_reconstructions(paths: Iterable[Path | None]) -> None:
     Raises:
         InputError: One is no checkpoint, or of another kind.
     """
-    for path in paths:
-        found = None if path is None else read_config(path).get("architecture")
-        if path is not None and found not in get_args(Model):
+    for path in filter(None, paths):
+        found = read_config(path).get("architecture")
+        if found not in get_args(Model):
             raise InputError(
                 f"is a {found}, not a reconstruction network",
                 where=path,
@@ -38,13 +38,12 @@ def require_successes(paths: Iterable[Path | None], robot: RobotDescription) -> 
     Raises:
         InputError: One is no checkpoint, of another kind, or learned with another robot.
     """
-    for path in paths:
-        if path is not None:
-            config = read_config(path)
-            check_success(config, path)
-            learned = config.get("robot")
-            if isinstance(learned, Mapping) and {"name", "preshape_joints"} <= set(learned):
-                check_robot(robot, learned["name"], learned["preshape_joints"], path)
+    for path in filter(None, paths):
+        config = read_config(path)
+        check_success(config, path)
+        learned = config.get("robot")
+        if isinstance(learned, Mapping) and {"name", "preshape_joints"} <= set(learned):
+            check_robot(robot, learned["name"], learned["preshape_joints"], path)
 
 
 def check_success(config: Mapping[str, Any], where: object) -> None:
@@ -83,15 +82,12 @@ def bundled_success(robot: RobotDescription, inputs: str = "geometry") -> Path |
         robot: The robot.
         inputs: Inputs of its network, a key of `NETWORKS`.
     """
+    wanted = ARCHITECTURE, inputs, robot.name
     for folder in sorted((assets_folder() / "weights").iterdir()):
         config = read_config(folder)
         learned = config.get("robot")
-        if (
-            config.get("architecture") == ARCHITECTURE
-            and config.get("inputs") == inputs
-            and isinstance(learned, Mapping)
-            and learned.get("name") == robot.name
-        ):
+        name = learned.get("name") if isinstance(learned, Mapping) else None
+        if (config.get("architecture"), config.get("inputs"), name) == wanted:
             return folder
     return None
 

@@ -156,15 +156,10 @@ def read_grasp_checkpoint(
         ) from error
     check_hand(sweep, config, where)
     _check_features(network, sweep, robot, where)
-    network.requires_grad_(False)
-    return GraspParts(
-        network.eval(),
-        GraspPrior.from_state(checkpoint.weights),
-        _encoder(checkpoint, sdf_checkpoint),
-        robot,
-        sweep,
-        config,
-    )
+    network.requires_grad_(False).eval()
+    prior = GraspPrior.from_state(checkpoint.weights)
+    encoder = _encoder(checkpoint, sdf_checkpoint)
+    return GraspParts(network, prior, encoder, robot, sweep, config)
 
 
 def _check_config(config: Mapping[str, Any], where: object) -> None:

@@ -153,9 +153,7 @@ class GraspPrior:
         palm = torch.eye(4, dtype=torch.float64).repeat(count, 1, 1)
         palm[:, :3, :3] = rotation
         palm[:, :3, 3] = place.centre - (rotation @ offset[:, :, None]).squeeze(-1)
-        preshape = (self._middle + y[:, 6:] * self._width).clamp(
-            self.ranges[:, 0], self.ranges[:, 1]
-        )
+        preshape = (self._middle + y[:, 6:] * self._width).clamp(*self.ranges.T)
         return preshape.numpy(), palm.numpy()
 
     def state(self) -> dict[str, Tensor]:
