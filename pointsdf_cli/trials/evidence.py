@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.io.trials import Evidence
@@ -19,48 +20,44 @@ SHOWN_FACES = 4000
 
 
 def evidence_of(
-    cloud: Array,
-    T_world_camera: Array,
-    T_world_object: Array,
+    view: View,
+    poses: Sequence[Array],
     believed: Surface | None,
     plan: Plan | None,
     executed: Executed | None,
     home: Array,
-    T_world_others: Sequence[Array] = (),
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[Obstacle],
 ) -> Evidence:
     """The evidence of one trial.
 
     Args:
-        cloud: [N, 3], the target's seen points, world, m.
-        T_world_camera, T_world_object: [4, 4].
+        view: The target's seen points.
+        poses: T_world_object [4, 4] of the target, then of each other object.
         believed: The target's surface in the planner.
         plan, executed: Plan and execution; None without them.
         home: [J], home configuration of the robot.
-        T_world_others: [4, 4] of each other object.
         obstacles: The other objects in the planner.
     """
     nothing = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
     vertices, faces = _few_faces(*(nothing if believed is None else believed))
-    stride = max(1, len(cloud) // SHOWN_POINTS)
-    placed = np.array(T_world_others, dtype=np.float64).reshape(-1, 4, 4)
+    stride = max(1, len(view.points) // SHOWN_POINTS)
+    placed = np.array(poses, dtype=np.float64)
     if plan is not None and executed is not None:
         moments = executed.moments
         phases = ("planned", *(m.phase for m in moments))
         q = np.stack([plan.q, *(m.q for m in moments)])
-        poses = np.stack([T_world_object, *(m.T_world_object for m in moments)])
-        others = np.stack([placed, *(m.T_world_others for m in moments)])
+        objects = np.stack([placed[0], *(m.T_world_object for m in moments)])
+        others = np.stack([placed[1:], *(m.T_world_others for m in moments)])
     else:
-        phases, q, poses = ("home",), home[None], T_world_object[None]
-        others = placed[None]
+        phases, q, objects, others = ("home",), home[None], placed[:1], placed[None, 1:]
     return Evidence(
-        cloud=cloud[::stride].astype(np.float32),
-        T_world_camera=T_world_camera,
+        cloud=view.in_world[::stride].astype(np.float32),
+        T_world_camera=view.T_world_camera,
         vertices=np.asarray(vertices, dtype=np.float32),
         faces=np.asarray(faces, dtype=np.int32),
         phases=phases,
         q=q,
-        T_world_object=poses,
+        T_world_object=objects,
         trajectory=np.zeros((0, len(home))) if plan is None else plan.trajectory,
         times=np.zeros(0) if plan is None else plan.times,
         T_world_others=others,

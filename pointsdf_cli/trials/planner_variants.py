@@ -52,12 +52,9 @@ def plan_options(variant: PlannerVariant, plan: PlanOptions) -> PlanOptions:
     # there is one success network, which both share.
     reconstructs = variant.method == protocol.RECONSTRUCTION
     own_network = reconstructs or plan.robot is not None
-    return replace(
-        plan,
-        method=variant.method,
-        checkpoint=checkpoint if reconstructs else None,
-        grasp_checkpoint=plan.grasp_checkpoint if own_network else None,
-    )
+    shape = checkpoint if reconstructs else None
+    grasps = plan.grasp_checkpoint if own_network else None
+    return replace(plan, method=variant.method, checkpoint=shape, grasp_checkpoint=grasps)
 
 
 @functools.cache
@@ -100,9 +97,8 @@ class TrialPlanner:
         grasps: SuccessModel | None = None
         if variant.ablation == protocol.NO_SUCCESS:
             robot = load_robot(plan.robot)
-            grasps = ConstantSuccess(
-                load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot)
-            )
+            model = load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot)
+            grasps = ConstantSuccess(model)
         self._planner = GraspPlanner(plan_options(variant, plan), grasps)
 
     def plan(

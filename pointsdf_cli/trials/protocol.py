@@ -179,12 +179,8 @@ def choose_objects(
         found = [path for start in starts for path in files if path.name.startswith(start)]
         if found:
             by_paper[name] = found[0]
-    eight = [
-        TrialObject(name, by_paper[name], True, unit)
-        if name in by_paper
-        else TrialObject(name, upright=True)
-        for name in STAND_INS
-    ]
+    scanned = {name: TrialObject(name, path, True, unit) for name, path in by_paper.items()}
+    eight = [scanned.get(name) or TrialObject(name, upright=True) for name in STAND_INS]
     if objects == "auto":
         objects = "eight" if by_paper or meshes is None else "all"
     if objects == "eight":
@@ -276,11 +272,8 @@ def _others(trial: Trial, count: int, pool: Sequence[TrialObject]) -> tuple[Tria
         InputError: The pool is too small.
     """
     target = trial.object
-    free = [
-        one
-        for one in pool
-        if one.name != target.name and (one.mesh is None or one.mesh != target.mesh)
-    ]
+    named_apart = [one for one in pool if one.name != target.name]
+    free = [one for one in named_apart if one.mesh is None or one.mesh != target.mesh]
     if not 0 <= count <= len(free):
         raise InputError(
             f"{count}",

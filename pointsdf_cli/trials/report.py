@@ -139,11 +139,8 @@ def _success(summaries: Sequence[Summary]) -> Table:
         rates = _published(method, cameras)
         published = [f"{rates[c]:.0%}" if c in rates else "–" for c in (*cameras, "all")]
         body.append((f"{method}, published", *published))
-    return (
-        "Success: held, no other object disturbed (95% Wilson interval)",
-        ("planner", *cameras, "all"),
-        body,
-    )
+    title = "Success: held, no other object disturbed (95% Wilson interval)"
+    return title, ("planner", *cameras, "all"), body
 
 
 def _verdicts(summaries: Sequence[Summary]) -> Table:

@@ -144,17 +144,8 @@ class TrialRunner:
         plan = None if answer is None else answer.plan
         executed = None
         if plan is not None and plan.status == OK:
-            executed = execute_plan(
-                self._world,
-                item,
-                T_world_object,
-                plan.trajectory,
-                plan.times,
-                plan.lift,
-                self.config.execution,
-                recorder,
-                others,
-            )
+            motion, config = (plan.trajectory, plan.times, plan.lift), self.config.execution
+            executed = execute_plan(self._world, *standing[0], *motion, config, recorder, others)
         row = self._row(trial, yaw, plan, executed, spent, truth)
         if others:
             ends = [] if executed is None else [one.pose() for one in self._world.others]
@@ -162,18 +153,9 @@ class TrialRunner:
         believed = None
         if answer is not None and answer.target is not None:
             believed = surface_of(answer.target)
-        evidence = evidence_of(
-            view.in_world,
-            T_world_camera,
-            T_world_object,
-            believed,
-            plan,
-            executed,
-            self.robot.home,
-            [pose for _, pose in others],
-            around.obstacles,
-        )
-        return row, evidence
+        poses = [pose for _, pose in standing]
+        home, obstacles = self.robot.home, around.obstacles
+        return row, evidence_of(view, poses, believed, plan, executed, home, obstacles)
 
     def penetration(self, q: Array, surface: Surface) -> float:
         """Penetration of the robot at q [J] into a closed surface in the world [m]; 0 if none."""
