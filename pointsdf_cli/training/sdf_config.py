@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
+from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.training.checks import require_positive
 
@@ -104,10 +106,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every", "minutes")
         require_positive(self, *positive)
-        if self.schedule not in ("cosine", "constant"):
-            raise InputError(
-                f"no schedule {self.schedule!r}", where="--schedule", allowed="cosine, constant"
-            )
+        require_choice(self.schedule, Literal["cosine", "constant"], "--schedule")
         if not 0.0 <= self.average < 1.0:
             raise InputError(
                 f"{self.average} is not a decay", where="average", allowed="0 to below 1"

@@ -141,16 +141,14 @@ def read_batch(
     to_network = pack.to_network[views]
     x = points @ to_network[:, :, :3].transpose(0, 2, 1) + to_network[:, None, :, 3]
     sdf = pack.sdf[picked] * pack.scale[views][:, None]
-    return Batch(
-        torch.from_numpy(pack.clouds[views].astype(np.float32)),
-        torch.from_numpy(pack.cameras[views]),
-        torch.from_numpy(pack.neighbours[views].astype(np.int64)),
-        torch.from_numpy(x.astype(np.float32)),
-        torch.from_numpy(sdf.astype(np.float32)),
-        Surroundings(
-            *(torch.from_numpy(getattr(pack, n)[views].astype(np.float32)) for n in SURROUNDINGS)
-        ),
-    )
+    cloud, camera = _tensor(pack.clouds[views]), _tensor(pack.cameras[views])
+    neighbours = torch.from_numpy(pack.neighbours[views].astype(np.int64))
+    around = Surroundings(*(_tensor(getattr(pack, name)[views]) for name in SURROUNDINGS))
+    return Batch(cloud, camera, neighbours, _tensor(x), _tensor(sdf), around)
+
+
+def _tensor(array: NDArray[np.floating]) -> Tensor:
+    return torch.from_numpy(array.astype(np.float32))
 
 
 def augment(batch: Batch, rng: np.random.Generator) -> Batch:

@@ -130,14 +130,9 @@ class _Run:
             fused=True,
         )
         self.average = WeightAverage(model, config.average)
-        self._data_hash = data_sha256(
-            pack.names,
-            pack.object_of_view,
-            pack.label_start,
-            pack.to_network,  # other views lie elsewhere, other labels are other numbers
-            pack.sdf[::LABEL_STRIDE],
-            *split,
-        )
+        # Other views lie elsewhere, other labels are other numbers.
+        views = pack.names, pack.object_of_view, pack.label_start, pack.to_network
+        self._data_hash = data_sha256(*views, pack.sdf[::LABEL_STRIDE], *split)
         self.step, self.seconds = 0, 0.0
         self.history: list[dict[str, float]] = []
         # Losses since the last validation: their number, the sum of those that were read back, and
@@ -219,20 +214,11 @@ class _Run:
     def validate(self) -> dict[str, float]:
         """Judge the averaged weights by held-out views; the new entry of the history."""
         self.collect_losses()
-        result = validate(
-            self._pack,
-            self._split,
-            self.average.model,
-            self._config.loss,
-            self._precision,
-            self._device,
-        )
-        entry = {
-            "step": self.step,
-            "seconds": self.seconds,
-            "train_loss": self._loss_sum / self._loss_count,
-            **result._asdict(),
-        }
+        model, loss = self.average.model, self._config.loss
+        result = validate(self._pack, self._split, model, loss, self._precision, self._device)
+        mean = self._loss_sum / self._loss_count
+        entry = {"step": self.step, "seconds": self.seconds, "train_loss": mean}
+        entry |= result._asdict()
         self.history.append(entry)
         self._loss_count, self._loss_sum = 0, 0.0
         return entry

@@ -207,10 +207,8 @@ def pack_views(
         neighbours.append(cKDTree(exact).query(exact[:count], k=min(NEIGHBOURS, len(points)))[1])
     rotation, translation = T_camera_object[:, :3, :3], T_camera_object[:, :3, 3]
     to_network = np.concatenate([rotation, (translation - centre)[:, :, None]], axis=2)
-    around = [
-        surroundings_arrays(known, frame)
-        for known, frame in zip(evidence or [ViewEvidence()] * len(frames), frames, strict=True)
-    ]
+    seen = zip(evidence or [ViewEvidence()] * len(frames), frames, strict=True)
+    around = [surroundings_arrays(known, frame) for known, frame in seen]
     columns = dict(zip(SURROUNDINGS, map(np.stack, zip(*around, strict=True)), strict=True))
     return columns | {
         "maps": columns["maps"].astype(np.float16),
@@ -265,7 +263,7 @@ def _build(
 def _check_limits(names: Sequence[str], limits: Mapping[str, int]) -> None:
     """Require an object in every limited folder: a typing error would limit nothing."""
     for prefix in limits:
-        if prefix and not any(name.startswith(prefix.rstrip("/") + "/") for name in names):
+        if not any(_lies_in(name, prefix) for name in names):
             folders = sorted({name.rpartition("/")[0] for name in names} - {""})
             raise InputError(
                 f"no views lie in {prefix!r}",
@@ -276,10 +274,12 @@ def _check_limits(names: Sequence[str], limits: Mapping[str, int]) -> None:
 
 def _limit(name: str, limits: Mapping[str, int]) -> int | None:
     """Largest number of views of an object: the limit of the longest folder that it lies in."""
-    fitting = [
-        prefix for prefix in limits if not prefix or name.startswith(prefix.rstrip("/") + "/")
-    ]
+    fitting = [prefix for prefix in limits if _lies_in(name, prefix)]
     return limits[max(fitting, key=len)] if fitting else None
+
+
+def _lies_in(name: str, prefix: str) -> bool:
+    return not prefix or name.startswith(prefix.rstrip("/") + "/")
 
 
 def _finished(home: Path) -> Pack | None:

@@ -73,12 +73,10 @@ def summarise(scored: Sequence[ScoredView], seed: int = 0) -> dict[str, Any]:
         rows = [view for view in scored if view.method == method]
         names = sorted({row.object_name for row in rows})
         index = np.array([names.index(row.object_name) for row in rows])
-        summary: dict[str, Any] = {
-            metric: statistic(
-                np.array([getattr(row.score, metric) for row in rows]), index, seed
-            )._asdict()
-            for metric in METRICS
-        }
+        summary: dict[str, Any] = {}
+        for metric in METRICS:
+            values = np.array([getattr(row.score, metric) for row in rows])
+            summary[metric] = statistic(values, index, seed)._asdict()
         failures = sum(row.score.failed for row in rows)
         table[method] = summary | {"views": len(rows), "objects": len(names), "failures": failures}
     return table
@@ -91,13 +89,8 @@ def statistic(values: NDArray[np.float64], groups: NDArray[np.integer], seed: in
     drawn = np.random.default_rng(seed).integers(count, size=(BOOTSTRAPS, count))
     means = sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
-    return Statistic(
-        float(values.mean()),
-        float(values.std(ddof=1)) if len(values) > 1 else 0.0,
-        float(np.median(values)),
-        float(low),
-        float(high),
-    )
+    deviation = values.std(ddof=1) if len(values) > 1 else 0.0
+    return Statistic(*map(float, (values.mean(), deviation, np.median(values), low, high)))
 
 
 def table_lines(table: dict[str, Any], beside: str | None = None) -> list[str]:
