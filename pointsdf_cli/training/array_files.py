@@ -43,11 +43,8 @@ class ArrayWriter:
 
     def finish(self, target: Path) -> None:
         """Write the .npy file and remove the raw rows."""
-        header = {
-            "descr": dtype_to_descr(self.dtype),
-            "fortran_order": False,
-            "shape": (self.rows, *self.row),
-        }
+        descr, shape = dtype_to_descr(self.dtype), (self.rows, *self.row)
+        header = {"descr": descr, "fortran_order": False, "shape": shape}
         # Plain writes: on a disk that fills, one into a mapped file kills the process.
         with open(self.path, "rb") as rows, open(target, "wb") as handle:
             write_array_header_1_0(handle, header)

@@ -122,11 +122,10 @@ def make_tasks(
     Raises:
         InputError: There are no meshes, none has views, or none has a name in `aside`.
     """
+    found = named_artifacts(find_meshes(meshes, pattern), meshes, views)
     tasks = [
         EvalTask(name, artifact, mesh, config)
-        for name, (mesh, artifact) in named_artifacts(
-            find_meshes(meshes, pattern), meshes, views
-        ).items()
+        for name, (mesh, artifact) in found.items()
         if artifact.exists()
     ]
     if not tasks:

@@ -118,19 +118,11 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
         scene = np.unique(grasps.scene[chosen], return_inverse=True)[1]
         succeeded = (grasps.label[chosen] == HELD) & (grasps.unshaken[chosen] != 0)
-        rows.append(
-            (
-                np.full(len(chosen), number),
-                np.full(len(chosen), "preshapes" in collection),
-                scene + scenes,
-                grasps.q[chosen][:, columns],
-                grasps.T_world_palm[chosen],
-                grasps.T_world_camera[chosen],
-                grasps.cloud[chosen],
-                grasps.kind[chosen],
-                succeeded.astype(np.float32),
-            )
-        )
+        planned = np.full(len(chosen), "preshapes" in collection)
+        of_file = np.full(len(chosen), number), planned, scene + scenes
+        poses = grasps.q[chosen][:, columns], grasps.T_world_palm[chosen]
+        seen = grasps.T_world_camera[chosen], grasps.cloud[chosen], grasps.kind[chosen]
+        rows.append((*of_file, *poses, *seen, succeeded.astype(np.float32)))
         scenes += int(scene.max()) + 1
         kept.append(file)
     if not rows:
@@ -200,11 +192,8 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
     trains = np.isin(data.object_of, chosen[count:])
     _check_both_labels(data.label[trains], "train on")
     _check_both_labels(data.label[validates], "validate on")
-    return Split(
-        np.flatnonzero(trains),
-        np.flatnonzero(validates),
-        np.flatnonzero(data.held_out[data.object_of]),
-    )
+    tests = data.held_out[data.object_of]
+    return Split(*map(np.flatnonzero, (trains, validates, tests)))
 
 
 def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:

@@ -77,15 +77,12 @@ def measure(data: GraspData, rows: NDArray[np.int64], scored: Scored, seed: int)
         for name, interval in gs_metrics.over_objects(measures, groups, seed).items()
     }
     top, random = gs_metrics.top_choice(label, score, groups, np.random.default_rng([seed, 1]))
-    ranking = gs_metrics.over_objects(
-        {
-            "top": lambda i: float(top[i].mean()),
-            "random": lambda i: float(random[i].mean()),
-            "ratio": lambda i: float(top[i].mean() / max(random[i].mean(), 1e-9)),
-        },
-        np.arange(len(top)),
-        seed,
-    )
+    choices = {
+        "top": lambda i: float(top[i].mean()),
+        "random": lambda i: float(random[i].mean()),
+        "ratio": lambda i: float(top[i].mean() / max(random[i].mean(), 1e-9)),
+    }
+    ranking = gs_metrics.over_objects(choices, np.arange(len(top)), seed)
     found["top_choice"] = {name: interval._asdict() for name, interval in ranking.items()}
     if probability is not None:
         found["chosen_above_0.6"] = int((probability > 0.6).sum())
@@ -97,11 +94,8 @@ def measure(data: GraspData, rows: NDArray[np.int64], scored: Scored, seed: int)
 def describe_grasps(data: GraspData, rows: NDArray[np.int64]) -> dict[str, Any]:
     """Number of grasps and share that held, by kind."""
     label, kind = data.label[rows], data.kind[rows]
-    found: dict[str, Any] = {
-        "objects": len(np.unique(data.object_of[rows])),
-        "grasps": len(rows),
-        "base_rate": float(label.mean()),
-    }
+    objects, base_rate = len(np.unique(data.object_of[rows])), float(label.mean())
+    found: dict[str, Any] = {"objects": objects, "grasps": len(rows), "base_rate": base_rate}
     for number, name in enumerate(("side", "top")):
         of_kind = label[kind == number]
         found[name] = {"grasps": len(of_kind), "base_rate": _share(of_kind)}
@@ -116,23 +110,12 @@ def table_lines(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     )  # fmt: skip
     rows: list[Sequence[str]] = [head]
     for name, entry in table.items():
-        ranking = entry["top_choice"]
-        rows.append(
-            (
-                name,
-                _number(entry["f1"]),
-                _range(entry["f1"]),
-                f"{PUBLISHED[name]:.3f}" if name in PUBLISHED else "",
-                _number(entry.get("f1_chosen")),
-                _number(entry["average_precision"]),
-                _range(entry["average_precision"]),
-                _number(entry["roc_auc"]),
-                _number(entry.get("brier")),
-                _number(entry.get("calibration_error")),
-                _number(ranking["top"]),
-                _number(ranking["random"]),
-            )
-        )
+        f1, ap, ranking = entry["f1"], entry["average_precision"], entry["top_choice"]
+        paper = f"{PUBLISHED[name]:.3f}" if name in PUBLISHED else ""
+        cells = [name, _number(f1), _range(f1), paper]
+        cells += [_number(entry.get("f1_chosen")), _number(ap), _range(ap)]
+        cells += [_number(entry.get(key)) for key in ("roc_auc", "brier", "calibration_error")]
+        rows.append((*cells, _number(ranking["top"]), _number(ranking["random"])))
     return aligned(rows)
 
 

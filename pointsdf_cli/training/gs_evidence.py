@@ -93,22 +93,16 @@ def evidence_of(
             allowed="a network of signed distances, such as pointsdf-ray",
         )
     tasks = []
+    asked, precision = sweep and asdict(sweep), str(autocast_dtype("auto", torch.device("cpu")))
+    alike = weights, asked, robot_digest(robot), precision
     for name, file in zip(data.names, data.files, strict=True):
-        decides = [
-            RECIPE,
-            file_sha256(file),
-            weights,
-            None if sweep is None else asdict(sweep),
-            robot_digest(robot),
-            str(autocast_dtype("auto", torch.device("cpu"))),
-        ]
+        decides = [RECIPE, file_sha256(file), *alike]
         key = hashlib.sha256(json.dumps(decides).encode()).hexdigest()
         out = cache / f"{name.replace('/', '__')}-{key[:16]}.h5"
         tasks.append((name, EvidenceTask(file, out, key, encoder, sweep, robot)))
     missing = [(name, task) for name, task in tasks if not task.out.is_file()]
-    run_stage(
-        missing, make_evidence, jobs=jobs, folders=[cache], on_done=on_done
-    ).raise_if_refused()
+    made = run_stage(missing, make_evidence, jobs=jobs, folders=[cache], on_done=on_done)
+    made.raise_if_refused()
     evidence = join_evidence([read_evidence(task.out) for _, task in tasks])
     if len(evidence.scale) != len(data):
         raise InputError("does not fit the grasps", where=cache, hint=f"remove {cache}")
@@ -192,12 +186,8 @@ def _embeddings(
     cameras = np.stack([frame.to_network(np.zeros(3)) for frame in frames])
     with torch.no_grad():
         embedding = model.embed(torch.tensor(clouds).float(), torch.tensor(cameras).float())
-    centre = np.stack(
-        [
-            apply_transform(T_world_camera[row], frame.centre[None])[0]
-            for frame, row in zip(frames, first, strict=True)
-        ]
-    )
+    placed = zip(T_world_camera[first], frames, strict=True)
+    centre = np.concatenate([apply_transform(pose, frame.centre[None]) for pose, frame in placed])
     count = len(cloud)
     return Evidence(
         embedding=embedding.numpy()[of_grasp],

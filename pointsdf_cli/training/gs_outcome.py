@@ -48,9 +48,8 @@ def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dic
             hint="give the same --encoder and --mode as before, or choose another --out",
         )
     before = config.get("encoder", {})
-    if variant.mode == FIXED and before.get("sha256") != weights_hash(
-        reconstruction_of(variant, sdf)
-    ):
+    frozen = variant.mode == FIXED
+    if frozen and before.get("sha256") != weights_hash(reconstruction_of(variant, sdf)):
         raise InputError(
             f"began with another reconstruction ({before.get('checkpoint')})",
             where=f"--out {out}",

@@ -85,12 +85,8 @@ def _fit_kind(
         [place.heading().T @ pose[:3, :3] for place, pose in zip(places, palm, strict=True)]
     )
     prior.rotations[k] = mean_rotation(headings)
-    y = torch.cat(
-        [
-            prior.coordinates(k, preshape[n, None], palm[n, None], place)
-            for n, place in enumerate(places)
-        ]
-    ).numpy()
+    grasps = zip(preshape.split(1), palm.split(1), places, strict=True)
+    y = torch.cat([prior.coordinates(k, *grasp) for grasp in grasps]).numpy()
     mixture = GaussianMixture(1, covariance_type="full", reg_covar=1.0).fit(y / floors)
     prior.means[k] = torch.tensor(mixture.means_[0] * floors)
     covariance = mixture.covariances_[0] * np.outer(floors, floors)

@@ -201,9 +201,8 @@ def prepare_trained(
     parts = read_grasp_checkpoint(path, sdf, robot)
     mode = parts.config["mode"]
     frozen = encoder_path(read_checkpoint(path), sdf) if mode == FIXED else None
-    learner = _learner(
-        data, parts.network, parts.encoder, parts.sweep, robot, frozen, mode, sources
-    )
+    networks = parts.network, parts.encoder, parts.sweep
+    learner = _learner(data, *networks, robot, frozen, mode, sources)
     return learner, parts.prior, parts.config
 
 
@@ -219,10 +218,8 @@ def places_of(data: GraspData, robot: RobotDescription) -> list[ObjectPlace]:
     """The place of each grasp's object, from its cloud."""
     base = robot.T_world_base[:3, 3]
     first, back = np.unique(data.scene_of, return_index=True, return_inverse=True)[1:]
-    of_scene = [
-        ObjectPlace.of(apply_transform(data.T_world_camera[row], data.cloud[row]), base)
-        for row in first
-    ]
+    clouds = (apply_transform(data.T_world_camera[row], data.cloud[row]) for row in first)
+    of_scene = [ObjectPlace.of(cloud, base) for cloud in clouds]
     return [of_scene[scene] for scene in back]
 
 
@@ -245,16 +242,11 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
     held = free & (data.label == 1)
     counts = np.array([(held & (data.kind == k)).sum() for k in range(len(KINDS))])
     chosen = np.where(counts[data.kind] >= FEWEST, held, free)
+    # Fit to all grasps if no kind has enough successes.
+    shares = np.maximum(counts, 1) if (counts >= FEWEST).any() else None
     rows = np.flatnonzero(chosen)
-    return fit_prior(
-        data.preshape[rows],
-        data.T_world_palm[rows],
-        data.kind[rows],
-        [places[row] for row in rows],
-        robot.preshape_ranges,
-        # Fit to all grasps if no kind has enough successes.
-        np.maximum(counts, 1) if (counts >= FEWEST).any() else None,
-    )
+    grasps = data.preshape[rows], data.T_world_palm[rows], data.kind[rows]
+    return fit_prior(*grasps, [places[row] for row in rows], robot.preshape_ranges, shares)
 
 
 def reconstruction_of(variant: Variant, sdf: Path | None) -> Path:
