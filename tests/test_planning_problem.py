@@ -134,3 +134,10 @@ def test_an_obstacle_may_have_any_name(name: str, robot, problem) -> None:  # ty
     free, met = problem.residuals(x), there.residuals(x)
     assert met.obstacles < 0 < free.obstacles
     assert (met.object, met.self_collision) == (free.object, free.self_collision)
+
+
+def test_clearances_given_as_whole_numbers_keep_the_others_fractions() -> None:
+    """The clearance to the object is written into an array made from the two others."""
+    margin = Clearances(0.005, 0, 0).of_bodies(np.array([True, False]))
+    margin[0] = 0.005
+    assert margin.tolist() == [0.005, 0.0]

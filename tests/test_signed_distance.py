@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -132,3 +135,23 @@ def test_a_surface_that_crosses_itself_is_refused() -> None:
 def test_enclosed_volume_does_not_depend_on_the_origin(box_mesh: trimesh.Trimesh) -> None:
     moved = box_mesh.vertices + [3.0, 4.0, 5.0]
     assert enclosed_volume(moved, np.asarray(box_mesh.faces)) == pytest.approx(0.08 * 0.06 * 0.04)
+
+
+def test_threads_that_ask_for_open3d_at_once_both_get_it() -> None:
+    """In a new process: one thread imports it, the other must wait until it is whole."""
+    program = """
+import threading, numpy as np
+from concurrent.futures import ThreadPoolExecutor
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+together = threading.Barrier(4)
+def distance(_):
+    together.wait()
+    return SignedDistance(corners, faces, threads=1)(np.array([[0.0, 0.0, -0.5]]))[0]
+with ThreadPoolExecutor(4) as pool:
+    print(sum(pool.map(distance, range(4))))
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert float(run.stdout) == pytest.approx(2.0)

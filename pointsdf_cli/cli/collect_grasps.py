@@ -180,12 +180,11 @@ def _collect(
         for name, error in report.refused:
             refused[name] = error.what
             reporter.say(f"skipped: {error.message}")
-        useful = {name: task.out for name, task in tasks.items() if name not in refused}
-        items = [(name, *read_grasps(out)) for name, out in useful.items() if out.is_file()]
-        executed = {name: int(grasps.executed.sum()) for name, grasps, _ in items}
+        there = {n: t.out for n, t in tasks.items() if n not in refused and t.out.is_file()}
+        executed = {name: int(read_grasps(out)[0].executed.sum()) for name, out in there.items()}
         more = next_quotas(quotas, executed, splits, wanted) if whole else None
         if more is None:
-            return items, refused
+            return [(name, *read_grasps(out)) for name, out in there.items()], refused
         quotas = more
         for name, task in tasks.items():
             tasks[name] = replace(task, quota=quotas[name], force=False)

@@ -100,6 +100,7 @@ def plan_one(
         resident.planner(request.choices)  # what cannot be loaded is told first
         common.say_if_from_another(reporter, files, request.choices.method)
         result = resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
+        del resident  # the picture needs memory, too
     else:
         from pointsdf_cli.service.client import plan_at
 
@@ -120,7 +121,7 @@ def plan_one(
     if trajectory is not None and found:
         write_trajectory(trajectory, answer)
         if asked.get("start") is None:
-            begins = "begins at the robot's home; if it stands elsewhere: --start"
+            begins = "begins at the robot's home; if the robot stands elsewhere, add --start"
             reporter.say(f"{trajectory} {begins}")
     stale_picture = out.with_suffix(".png")
     if picture is None and stale_picture.exists():

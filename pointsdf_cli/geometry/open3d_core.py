@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import sys
 from functools import cache
+from threading import Lock
 from types import ModuleType
 from typing import Any
 
@@ -26,10 +27,19 @@ class _Open3D:
 o3d: Any = _Open3D()
 
 
-@cache
+_LOADING = Lock()
+"""Held while Open3D loads: another thread would find the module half made."""
+
+
 def _open3d() -> ModuleType:
+    with _LOADING:
+        return _loaded()
+
+
+@cache
+def _loaded() -> ModuleType:
     if "open3d" in sys.modules:
-        return sys.modules["open3d"]
+        return importlib.import_module("open3d")  # waits for an import in another thread
     empty = ModuleType(_NOTEBOOK)
     for name in _ITS_NAMES:
         setattr(empty, name, None)

@@ -53,7 +53,7 @@ def write_evidence(path: Path | str, evidence: Evidence, key: str) -> None:
         evidence: The rows.
         key: Hash of everything that it was computed from.
     """
-    write_artifact(path, SCHEMA, VERSION, LAYOUT, vars(evidence), {"key": key})
+    write_artifact(path, SCHEMA, VERSION, LAYOUT, vars(evidence), attributes={"key": key})
 
 
 def read_evidence(path: Path | str) -> Evidence:

@@ -154,7 +154,16 @@ def write_grasps(
     names = {"joint_names": list(meta.joint_names), "preshape_joints": list(meta.preshape_joints)}
     arrays = vars(grasps) | evidence_arrays(grasps.evidence, len(grasps))
     attributes = vars(meta) | names | {"kinds": list(KINDS), "causes": list(CAUSES)}
-    write_artifact(path, SCHEMA, VERSION, LAYOUT | EVIDENCE, arrays, attributes, seed, config)
+    write_artifact(
+        path,
+        SCHEMA,
+        VERSION,
+        LAYOUT | EVIDENCE,
+        arrays,
+        attributes=attributes,
+        seed=seed,
+        config=config,
+    )
 
 
 def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:

@@ -78,6 +78,7 @@ def write_artifact(
     version: int,
     layout: Layout,
     arrays: Mapping[str, Any],
+    *,
     attributes: Mapping[str, Any] | None = None,
     seed: int | None = None,
     config: Mapping[str, Any] | None = None,
@@ -234,7 +235,7 @@ def options_of(file: h5py.File) -> dict[str, Any]:
         InputError: It does not say so in JSON.
     """
     with attributes_as_input_error(Path(file.filename)):
-        return dict(json.loads(str(file.attrs.get("config_json", "{}"))))
+        return dict(json.loads(file.attrs.get("config_json", "{}")))  # text or bytes
 
 
 def mesh_unit(file: h5py.File) -> str:

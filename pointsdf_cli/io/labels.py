@@ -42,7 +42,9 @@ def write_labels(
 ) -> None:
     """Write `labels` as one HDF5 file."""
     attributes = {"mesh_file": labels.mesh_file, "mesh_hash": labels.mesh_hash}
-    write_artifact(path, SCHEMA, VERSION, LAYOUT, vars(labels), attributes, seed, config)
+    write_artifact(
+        path, SCHEMA, VERSION, LAYOUT, vars(labels), attributes=attributes, seed=seed, config=config
+    )
 
 
 def read_labels(path: Path | str) -> Labels:

@@ -17,7 +17,13 @@ from pointsdf_cli.choices import Unit, require_choice
 from pointsdf_cli.errors import InputError, as_input_error, require_near
 from pointsdf_cli.geometry.repair import close_mesh
 from pointsdf_cli.io.atomic import atomic_path
-from pointsdf_cli.io.input_files import is_hidden, largest_input, read_input, require_suffix
+from pointsdf_cli.io.input_files import (
+    check_input,
+    is_hidden,
+    largest_input,
+    read_input,
+    require_suffix,
+)
 from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
@@ -224,8 +230,9 @@ def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    data = read_input(path, "mesh")
+    check_input(path, "mesh")
     require_suffix(path, MESH_SUFFIXES, "mesh format")
+    data = read_input(path, "mesh")
     kind = path.suffix.lower()
     import trimesh
 

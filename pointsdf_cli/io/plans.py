@@ -190,7 +190,16 @@ def write_plan(
         "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
         "rejected_slack_columns": ",".join(SLACKS),
     }
-    write_artifact(path, SCHEMA, VERSION, LAYOUT | OPTIONAL, arrays, attributes, seed, config)
+    write_artifact(
+        path,
+        SCHEMA,
+        VERSION,
+        LAYOUT | OPTIONAL,
+        arrays,
+        attributes=attributes,
+        seed=seed,
+        config=config,
+    )
 
 
 def read_plan(path: Path | str) -> Plan:

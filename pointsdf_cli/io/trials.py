@@ -157,9 +157,16 @@ def write_trial(
     path: Path | str, row: TrialRow, evidence: Evidence, config: Mapping[str, Any]
 ) -> None:
     """Write one trial as a whole."""
-    arrays, attributes = vars(evidence), {"row_json": json.dumps(asdict(row))}
-    form = (TRIAL_SCHEMA, TRIAL_VERSION, TRIAL_LAYOUT)
-    write_artifact(path, *form, arrays, attributes, row.seed, config)
+    write_artifact(
+        path,
+        TRIAL_SCHEMA,
+        TRIAL_VERSION,
+        TRIAL_LAYOUT,
+        vars(evidence),
+        attributes={"row_json": json.dumps(asdict(row))},
+        seed=row.seed,
+        config=config,
+    )
 
 
 def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:

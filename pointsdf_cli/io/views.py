@@ -63,7 +63,9 @@ def write_views(
     layout = LAYOUT | EVIDENCE | ({} if views.depth is None else DEPTH)
     arrays = vars(views) | evidence_arrays(views.evidence, len(views.cloud))
     attributes = {name: getattr(views, name) for name in ATTRIBUTES}
-    write_artifact(path, SCHEMA, VERSION, layout, arrays, attributes, seed, config)
+    write_artifact(
+        path, SCHEMA, VERSION, layout, arrays, attributes=attributes, seed=seed, config=config
+    )
 
 
 def read_views(path: Path | str, with_depth: bool = False) -> Views:

@@ -54,7 +54,7 @@ class Clearances:
 
     def of_bodies(self, is_self: NDArray[np.bool_]) -> Array:
         """Clearance [M] of distances between bodies, m; `is_self` [M] marks the robot's own."""
-        return np.where(is_self, self.self, self.environment)
+        return np.where(is_self, float(self.self), float(self.environment))
 
 
 class Residuals(NamedTuple):

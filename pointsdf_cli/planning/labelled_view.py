@@ -150,8 +150,18 @@ def label_view(
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, objects, standing_objects(objects, world, camera), reach)
     pose = cloud.T_world_camera
-    cloud = replace(cloud, points=points, frame="camera", mask=mask)
-    return LabelledView(name, cloud, thinned.voxel, few, world, pixels, objects, listed, pose)
+    cloud = replace(cloud, points=points, frame="camera", mask=mask, normals=None, colours=None)
+    return LabelledView(
+        name=name,
+        cloud=cloud,
+        voxel=thinned.voxel,
+        points=few,
+        world=world,
+        pixels=pixels,
+        objects=objects,
+        listed=listed,
+        T_world_camera=pose,
+    )
 
 
 def _to_depth_edge(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from itertools import count
 
+import coal
 import numpy as np
 import scipy
 
@@ -20,7 +21,6 @@ from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.box import level_width
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
-from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.processor import at_once, timed
@@ -157,7 +157,15 @@ def _missed(points: Array, mesh: CollisionMesh) -> Array:
     far = points[surface.query(points)[0] > MISSED]
     if len(far) < FEWEST_MISSED:
         return far[:0]
-    return np.asarray(far[SignedDistance(mesh.vertices, mesh.faces, threads=1)(far) > MISSED])
+    point, here, there = coal.Sphere(1e-9), coal.Transform3s.Identity(), coal.Transform3s.Identity()
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    missed = np.zeros(len(far), dtype=bool)
+    for k, place in enumerate(far):
+        there.setTranslation(place)
+        result.clear()
+        apart = coal.distance(mesh.surface, here, point, there, request, result)
+        missed[k] = apart > MISSED and not mesh.inside(place)
+    return np.asarray(far[missed])
 
 
 def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[CollisionMesh]:

@@ -12,7 +12,9 @@ may change from iteration to iteration, so their curvature is left to the trust 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -56,14 +58,15 @@ class SqpConfig:
 
 
 class Sqp:
-    """Solver for any number of problems."""
+    """Solver for any number of problems; its quadratic programs are reused."""
 
     def __init__(self, config: SqpConfig | None = None) -> None:
         self.config = config or SqpConfig()
+        self._programs = cache(StepQp)
 
     def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
-        search = _Search(problem, starts, self.config)
+        search = _Search(problem, starts, self.config, self._programs)
         ends = self.config.successive_halving
         for turn in range(iterations or self.config.iterations):
             stop_if_cancelled()
@@ -81,6 +84,7 @@ class _Search:
         problem: Problem of n variables.
         starts: [B, n].
         config: Limits.
+        programs: Maker of the quadratic program of n variables and k constraints.
 
     Attributes:
         x: [B, n], the best points so far.
@@ -89,16 +93,23 @@ class _Search:
         evaluations: Number of evaluations, summed over starts.
     """
 
-    def __init__(self, problem: Problem, starts: Array, config: SqpConfig) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        starts: Array,
+        config: SqpConfig,
+        programs: Callable[[int, int], StepQp],
+    ) -> None:
         self._problem, self._config, self.evaluations = problem, config, 0
         self.x = self._within(np.asarray(starts, dtype=np.float64))
         count, n = self.x.shape
         self.now = self._evaluated(self.x)
-        self._program = StepQp(n, self.now.constraints.shape[1])
+        self._program = programs(n, self.now.constraints.shape[1])
         self._rest = np.tile(DAMPING * np.eye(n), (count, 1, 1))
         self._radius = np.full(count, config.radius)
         self._penalty = np.full(count, PENALTY)
-        self.done, self._ended = np.zeros((2, count), dtype=bool)
+        self.done = np.zeros(count, dtype=bool)
+        self._ended = np.zeros(count, dtype=bool)
 
     def end_worse(self, times: int) -> None:
         """End all starts but the best, after `times` halvings."""

@@ -44,6 +44,7 @@ class StepQp:
         ]
         self._matrix = scipy.sparse.bmat(parts, format="csc")
         # Column j of d holds F's column, −J's, and the two bounds; nothing else ever changes.
+        assert (np.diff(self._matrix.indptr)[n : 2 * n] == n + k + 2).all()
         self._columns = self._matrix.data[n : n + n * (n + k + 2)].reshape(n, n + k + 2)
         rest = scipy.sparse.csc_matrix((n + k, n + k))
         self._quadratic = scipy.sparse.block_diag((eye(n), rest), format="csc")

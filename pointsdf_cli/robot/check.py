@@ -136,6 +136,8 @@ def _self_collisions(
 ) -> tuple[float, list[Finding]]:
     """At home, and pairs of links that touch whatever the robot does."""
     fine, coarse = SelfCollision(kinematics), SelfCollision(kinematics, 0.03, 0.0)
+    if not fine.pairs:
+        return float("inf"), []
     q = rng.uniform(robot.lower, robot.upper, (ANYWHERE, len(robot.lower)))
     distance = fine(*kinematics(np.stack([robot.home, open_hand(robot)]))).numpy()
     anywhere = coarse(*kinematics(q)).numpy() < 0
@@ -154,7 +156,7 @@ def _self_collisions(
             what = f"{a} and {b} overlap in {share:.0%} of random configurations"
             fix = f"may_touch: [[{a}, {b}]], if they cannot be kept apart"
             found.append(Finding(WARNING, what, fix))
-    return float(distance.min(initial=np.inf)), found
+    return float(distance.min()), found
 
 
 def _table(robot: RobotDescription, kinematics: Kinematics) -> tuple[float, list[Finding]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from functools import cached_property, lru_cache
 
@@ -36,16 +37,12 @@ class Resident:
     Args:
         files: Robot and weights.
         device: Device of the networks.
-
-    Attributes:
-        planner: The planner for some options, made at their first use; an `InputError` says that
-            the robot or a checkpoint cannot be used.
     """
 
     def __init__(self, files: PlannerFiles | None = None, device: str = "cpu") -> None:
         self.files, self.device = files or PlannerFiles(), device
         self._identity: dict[str, str] | None = None
-        self.planner = lru_cache(maxsize=KEPT)(self._planner)
+        self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
 
     def identity(self) -> dict[str, str]:
         """Digests of the files when this was first asked. A server asks before it loads them; from
@@ -57,6 +54,20 @@ class Resident:
         if self._identity is None:
             self._identity = self.files.identity()
         return self._identity
+
+    def planner(self, choices: PlanChoices) -> GraspPlanner:
+        """The planner for these options, made at their first use.
+
+        Raises:
+            InputError: The robot or a checkpoint cannot be used.
+        """
+        # No `lru_cache`: one of a bound method would keep a dropped `Resident` in memory.
+        if choices not in self._planners:
+            self._planners[choices] = self._made(choices)
+            if len(self._planners) > KEPT:
+                self._planners.popitem(last=False)
+        self._planners.move_to_end(choices)
+        return self._planners[choices]
 
     def plan(self, request: PlanRequest, warn: Callable[[str], None] | None = None) -> PlanResult:
         """The answer to a request.
@@ -139,7 +150,7 @@ class Resident:
                 hint="start `rgrasp serve` again",
             )
 
-    def _planner(self, choices: PlanChoices) -> GraspPlanner:
+    def _made(self, choices: PlanChoices) -> GraspPlanner:
         self._require_unchanged()
         clearance = choices.clearance
         options = PlanOptions(

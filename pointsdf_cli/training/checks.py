@@ -13,14 +13,14 @@ def option_of(name: str) -> str:
 
 
 def require_positive(settings: object, *names: str) -> None:
-    """Require settings to be positive and finite, or None.
+    """Require settings to be positive and finite.
 
     Raises:
         InputError: One is not.
     """
     for name in names:
         value = getattr(settings, name)
-        if value is not None and not 0 < value < math.inf:
+        if not 0 < value < math.inf:
             raise InputError(f"{value} is not positive and finite", where=option_of(name))
 
 

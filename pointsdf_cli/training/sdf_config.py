@@ -104,8 +104,9 @@ class TrainConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every", "minutes")
-        require_positive(self, *positive)
+        require_positive(self, "steps", "batch_size", "queries", "learning_rate", "validate_every")
+        if self.minutes is not None:
+            require_positive(self, "minutes")
         require_choice(self.schedule, Literal["cosine", "constant"], "--schedule")
         if not 0.0 <= self.average < 1.0:
             raise InputError(
