@@ -81,7 +81,6 @@ def cloud(
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place
     from pointsdf_cli.io.clouds import write_cloud
-    from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
     from pointsdf_cli.io.rosbag import is_bag
 
     out = out or Path("cloud.ply")
@@ -96,23 +95,31 @@ def cloud(
         of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
         if option := first_given(of_images):
             raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
-        made, about, told = _cloud_of_bag(depth, bag, options, camera_pose, cleaned)
-    elif bag != BagOptions():
-        raise InputError("is not a bag, but an option for bags is given", where=depth)
-    elif intrinsics is None:
-        hint = "add --intrinsics K.json"
-        raise InputError("a depth image needs its intrinsics", where=depth, hint=hint)
-    elif depth.suffix.lower() not in DEPTH_SUFFIXES:
-        allowed = ", ".join(DEPTH_SUFFIXES)
-        raise InputError(f"{depth.suffix!r} is not a depth image", where=depth, allowed=allowed)
+        made, about, source, notes = _cloud_of_bag(depth, bag, options, camera_pose, cleaned)
     else:
-        made, about, told = _cloud_of_image(depth, options, camera_pose, cleaned, reporter.say)
+        if bag != BagOptions():
+            raise InputError("is not a bag, but an option for bags is given", where=depth)
+        _require_depth_image(depth, intrinsics)
+        made, about, source, notes = _cloud_of_image(
+            depth, options, camera_pose, cleaned, reporter.say
+        )
     write_cloud(out, replace(made, pixels=None, image=None))
     count, middle = len(made.points), float(np.median(made.points[:, 2]))
     posed = made.T_world_camera is not None
     values = {"out": out, "points": count, "median_depth": middle, "has_pose": posed}
-    line = f"{out}: {count} points in the camera frame, median depth {middle:.3f} m{told[0]}"
-    reporter.result({**values, **about}, [line, *told[1:]])
+    line = f"{out}: {count} points in the camera frame, median depth {middle:.3f} m{source}"
+    reporter.result({**values, **about}, [line, *notes])
+
+
+def _require_depth_image(path: Path, intrinsics: str | None) -> None:
+    from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
+
+    if intrinsics is None:
+        hint = "add --intrinsics K.json"
+        raise InputError("a depth image needs its intrinsics", where=path, hint=hint)
+    if path.suffix.lower() not in DEPTH_SUFFIXES:
+        allowed = ", ".join(DEPTH_SUFFIXES)
+        raise InputError(f"{path.suffix!r} is not a depth image", where=path, allowed=allowed)
 
 
 def _cloud_of_image(
@@ -121,25 +128,32 @@ def _cloud_of_image(
     pose: str | None,
     cleaned: bool,
     say: Callable[[str], None],
-) -> tuple[Cloud, dict[str, object], list[str]]:
-    """Cloud of a depth image; what is told of it as values, the end of a line, and more lines."""
+) -> tuple[Cloud, dict[str, object], str, list[str]]:
+    """Cloud of a depth image.
+
+    Returns:
+        The cloud, the values of it for the result, the words on its source that end the first line,
+        and further lines.
+    """
     from pointsdf_cli.planning.scene_input import depth_view
 
     made, pixels, unseen = depth_view(depth, options, pose, cleaned, say)
     near, far = options.near, options.far
-    told = [f"; {unseen} pixels without a depth between {near:g} and {far:g} m dropped"]
+    source = f"; {unseen} pixels without a depth between {near:g} and {far:g} m dropped"
+    notes = []
     if made.T_world_camera is None:
-        told.append(
+        notes.append(
             "no --camera-pose: rgrasp mesh needs none, rgrasp plan will ask for --camera-pose"
         )
     dropped = pixels - len(made.points)
-    return made, {"dropped": dropped, "has_colours": made.colours is not None}, told
+    about: dict[str, object] = {"dropped": dropped, "has_colours": made.colours is not None}
+    return made, about, source, notes
 
 
 def _cloud_of_bag(
     path: Path, bag: BagOptions, options: SceneFileOptions, pose: str | None, cleaned: bool
-) -> tuple[Cloud, dict[str, object], list[str]]:
-    """Cloud of a bag's depth images; what is told of it and its sources, as of an image."""
+) -> tuple[Cloud, dict[str, object], str, list[str]]:
+    """Cloud of a bag's depth images, and what `_cloud_of_image` tells of it."""
     from pointsdf_cli.camera.bag_cloud import cloud_of_bag
     from pointsdf_cli.camera.scene_file import cleaned_view
     from pointsdf_cli.io.poses import camera_pose, table_place
@@ -162,9 +176,9 @@ def _cloud_of_bag(
         said.append(table_note(made, place))
     elif made.T_world_camera is None:
         said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
-    source = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
+    images = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
     if bag.frames > 1:
-        source = f"{bag.frames} images from {source}"
+        images = f"{bag.frames} images from {images}"
     about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps}
-    line = f", from {source} on {frames.topic} ({frames.frame})"
-    return made, {**about, "said": said}, [line, *said]
+    source = f", from {images} on {frames.topic} ({frames.frame})"
+    return made, {**about, "said": said}, source, said

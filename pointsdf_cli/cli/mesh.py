@@ -142,7 +142,8 @@ def mesh(
     if each:
         common.torch_device(device)
         require_one_name_each(clouds)
-        out, suffix = require_folder(out or Path("meshes")), form or "ply"
+        out = require_folder(out or Path("meshes"))
+        suffix = form or "ply"
         tasks = []
         for cloud in clouds:
             path = out / f"{cloud.stem}.{suffix}"

@@ -82,8 +82,8 @@ def report(
         if labels:
             written.append(drawn[1])
             save_figure(sdf_slices(labels), written[-1])
-    lines = [f"{path}" for path in written]
-    common.Reporter(quiet, as_json).result({"written": lines}, lines)
+    paths = [str(path) for path in written]
+    common.Reporter(quiet, as_json).result({"written": paths}, paths)
 
 
 def _content(
@@ -97,35 +97,40 @@ def _content(
     """
     from pointsdf_cli.io.checkpoints import CONFIG
     from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
-    from pointsdf_cli.viz.data_report import scan, single
+    from pointsdf_cli.viz.data_report import scan
 
-    if (path / "trials.h5").is_file():
-        path = path / "trials.h5"
-    if path.is_file():
-        kind = schema_of(path) if path.suffix.lower() in (".h5", ".hdf5") else "a cloud or a mesh"
-    elif (path / CONFIG).is_file():
-        kind = "a checkpoint"
-    else:
-        files = artifacts_below(path)
-        kinds = [schema_of(file) for file in files]
-        if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
-            return scan(path, meshes)
-        grasps = [p for p, kind in zip(files, kinds, strict=True) if kind == "grasps"]
-        return _of_grasps(grasps, title)
-    data = kind in ("views", "labels")
-    unused = {"--robot": robot if kind != "plan" else None, "--meshes": None if data else meshes}
-    if option := first_given(unused):
-        raise InputError(f"not used for {kind}", where=option, hint="leave it out")
-    if data:
-        return single(path, kind, meshes)
-    if kind == "a cloud or a mesh":
+    if path.is_file() and path.suffix.lower() not in (".h5", ".hdf5"):
         from pointsdf_cli.viz.shape_report import shape_report
 
+        _require_unused("a cloud or a mesh", robot, meshes)
         return shape_report(path, unit, title)
-    if kind == "a checkpoint":
+    if path.is_file():
+        return _of_file(path, robot, meshes, title)
+    if (path / "trials.h5").is_file():
+        return _of_file(path / "trials.h5", robot, meshes, title)
+    if (path / CONFIG).is_file():
         from pointsdf_cli.viz.checkpoint_report import checkpoint_report
 
+        _require_unused("a checkpoint", robot, meshes)
         return checkpoint_report(path, title)
+    files = artifacts_below(path)
+    kinds = [schema_of(file) for file in files]
+    if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
+        return scan(path, meshes)
+    grasps = [p for p, kind in zip(files, kinds, strict=True) if kind == "grasps"]
+    return _of_grasps(grasps, title)
+
+
+def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) -> str | DataFolder:
+    from pointsdf_cli.io.hdf5 import schema_of
+
+    kind = schema_of(path)
+    is_data = kind in ("views", "labels")
+    _require_unused(kind, None if kind == "plan" else robot, None if is_data else meshes)
+    if is_data:
+        from pointsdf_cli.viz.data_report import single
+
+        return single(path, kind, meshes)
     if kind == "grasps":
         return _of_grasps([path], title)
     if kind == "plan":
@@ -144,6 +149,12 @@ def _content(
         return html_report(read_trials(path), [], title, {})
     what = f"holds {kind}, of which no page can be made"
     raise InputError(what, where=path, allowed="views, labels, grasps, plan, trials")
+
+
+def _require_unused(kind: str, robot: Path | None, meshes: Path | None) -> None:
+    """Refuse options that a page about this kind does not use."""
+    if option := first_given({"--robot": robot, "--meshes": meshes}):
+        raise InputError(f"not used for {kind}", where=option, hint="leave it out")
 
 
 def _of_grasps(files: list[Path], title: str) -> str:

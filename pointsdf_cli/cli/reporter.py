@@ -32,7 +32,9 @@ class Reporter:
 
     def say(self, *lines: str) -> None:
         """Print lines of progress on stderr."""
-        for line in lines if not self.quiet else ():
+        if self.quiet:
+            return
+        for line in lines:
             print(printable(line), file=sys.stderr, flush=True)
 
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:

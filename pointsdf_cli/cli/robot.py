@@ -96,7 +96,8 @@ def init(
     out = require_new(out or urdf.with_suffix(".yaml"), force, [urdf])
     data = first_guess(urdf, out, palm)
     write_text_atomic(out, as_yaml(data))
-    arm, hand, closing = (len(data[f"{part}_joints"]) for part in ("arm", "hand", "closing"))
+    arm, hand = len(data["arm_joints"]), len(data["hand_joints"])
+    closing = len(data["closing_joints"])
     palm = data["palm"]["link"]
     line = (
         f"{out}: {arm} arm joints to {palm}, {hand} hand joints beyond it, {closing} of them close"

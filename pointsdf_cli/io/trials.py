@@ -159,10 +159,10 @@ def write_trial(
     """Write one trial as a whole."""
     write_artifact(
         path,
-        TRIAL_SCHEMA,
-        TRIAL_VERSION,
-        TRIAL_LAYOUT,
-        vars(evidence),
+        schema=TRIAL_SCHEMA,
+        version=TRIAL_VERSION,
+        layout=TRIAL_LAYOUT,
+        arrays=vars(evidence),
         attributes={"row_json": json.dumps(asdict(row))},
         seed=row.seed,
         config=config,

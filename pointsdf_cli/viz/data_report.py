@@ -105,7 +105,9 @@ def sample_items(
 def _with_mesh(paths: list[Path], meshes: list[Path]) -> Iterator[tuple[Path, LoadedMesh]]:
     """Some of the artifacts, spread evenly, each with its mesh; without those whose mesh is not
     found."""
-    for k in np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int)) if paths else ():
+    if not paths:
+        return
+    for k in np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int)):
         _, mesh = mesh_of(paths[k], meshes)
         if mesh is not None:
             yield paths[k], mesh

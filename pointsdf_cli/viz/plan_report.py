@@ -30,12 +30,11 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
     timings = sorted((name, float(seconds)) for name, seconds in plan.timings.items())
     parts += [html.heading("Time by stage"), html.table(("stage", "s"), timings)]
     if plan.status == OK:
-        to_object, to_table = (
-            map(_mm, plan.link_clearance_object),
-            map(_mm, plan.link_clearance_table),
+        clearances = zip(
+            plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True
         )
-        distances = zip(plan.link_names, to_object, to_table, strict=True)
-        joints = zip(plan.joint_names, map(float, plan.q), strict=True)
+        distances = [(link, _mm(thing), _mm(table)) for link, thing, table in clearances]
+        joints = [(name, float(q)) for name, q in zip(plan.joint_names, plan.q, strict=True)]
         parts += [
             html.heading("Distances at the grasp"),
             html.table(("link", "to the object [mm]", "to the table [mm]"), distances),
@@ -47,7 +46,10 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
         chances, objectives = rejected.success_probability.tolist(), rejected.objective.tolist()
         seeds = zip(rejected.reasons, chances, objectives, rejected.slack, strict=True)
         slacks = [f"slack to {name} [mm]" for name in SLACKS]
-        rows = [(*seed, *map(_mm, found)) for *seed, found in seeds]
+        rows = [
+            (reason, chance, objective, *map(_mm, slack))
+            for reason, chance, objective, slack in seeds
+        ]
         parts += [
             html.heading("Rejected"),
             html.note("Slack is the distance minus the required clearance: below 0 is too near."),

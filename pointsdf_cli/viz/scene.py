@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
 
+KINDS = ("mesh", "points", "lines")
 WORLD = -1
 """Index of the body that never moves."""
 
@@ -47,6 +48,8 @@ class Part:
     opacity: float = 1.0
 
     def __post_init__(self) -> None:
+        if self.kind not in KINDS or (self.kind == "mesh") != (self.faces is not None):
+            raise InputError(f"a part of kind {self.kind!r}", allowed=", ".join(KINDS))
         object.__setattr__(self, "vertices", np.asarray(self.vertices, np.float32))
         if self.faces is not None:
             object.__setattr__(self, "faces", np.asarray(self.faces, np.int32))
@@ -86,6 +89,9 @@ class Scene:
             wanted = f"{len(self.captions)} frames of {len(self.bodies)} bodies"
             what = f"poses of shape {self.poses.shape} for {wanted}"
             raise InputError(what, allowed="[F, B, 4, 4]")
+        for part in self.parts:
+            if not WORLD <= part.body < len(self.bodies):
+                raise InputError(f"{part.name!r} is fixed to no body", allowed=str(self.bodies))
 
     @property
     def frames(self) -> int:

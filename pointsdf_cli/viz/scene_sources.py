@@ -123,10 +123,10 @@ def mesh_folders(artifact: Path) -> list[Path]:
 
 
 def meshes_below(*folders: Path | None) -> Iterator[Path]:
-    """Mesh files below folders, of which some may be None or not exist."""
+    """Paths with a suffix of meshes below folders, of which some may be None or not exist."""
     for folder in folders:
         for path in sorted(folder.rglob("*")) if folder else ():
-            if path.suffix.lower() in MESH_SUFFIXES and path.is_file():
+            if path.suffix.lower() in MESH_SUFFIXES:
                 yield path
 
 
@@ -137,13 +137,13 @@ def mesh_of(
 
     Args:
         artifact: Views, labels or grasps.
-        files: Mesh files.
+        files: Paths that may be mesh files.
         unit: Unit of the mesh if the artifact's is metres.
     """
     with open_hdf5(artifact) as file:
         name, digest = str(file.attrs["mesh_file"]), str(file.attrs["mesh_hash"])
         stored = mesh_unit(file)
     for path in files:
-        if path.name == name and file_sha256(path) == digest:
+        if path.name == name and path.is_file() and file_sha256(path) == digest:
             return name, load_mesh(path, unit if stored == "m" else stored)
     return name, None

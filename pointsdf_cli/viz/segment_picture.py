@@ -8,12 +8,20 @@ from pathlib import Path
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from pointsdf_cli.io.atomic import atomic_path
 
-_NAMED = "#e6194b #3cb44b #0082c8 #f58230 #911eb4 #46c8dc #f032e6 #786e00"
-COLOURS = tuple(map(ImageColor.getrgb, _NAMED.split()))
+COLOURS = (
+    (230, 25, 75),
+    (60, 180, 75),
+    (0, 130, 200),
+    (245, 130, 48),
+    (145, 30, 180),
+    (70, 200, 220),
+    (240, 50, 230),
+    (120, 110, 0),
+)
 LARGEST = 960
 """Longer side [px] of the picture of a cloud without an image."""
 

@@ -109,8 +109,8 @@ class Viewer:
             size = max(float(np.ptp(self.scene.bounds(), axis=0).max()), 0.05) / 250
             return scene.add_point_cloud(name, part.vertices, colours, point_size=size)
         if part.kind == "lines":
-            ends, of_ends = (values.reshape(-1, 2, 3) for values in (part.vertices, colours))
-            return scene.add_line_segments(name, ends, of_ends, line_width=2.5)
+            ends, colours = part.vertices.reshape(-1, 2, 3), colours.reshape(-1, 2, 3)
+            return scene.add_line_segments(name, ends, colours, line_width=2.5)
         return scene.add_mesh_simple(
             name,
             part.vertices,

@@ -133,12 +133,15 @@ def only_controls(server: Any) -> bool:
 
 
 def _name_of(url: str) -> str | None:
-    with suppress(ValueError):
+    try:
         return urlsplit(url).hostname
-    return None
+    except ValueError:
+        return None
 
 
 def _is_address(name: str) -> bool:
-    with suppress(ValueError):
-        return bool(ipaddress.ip_address(name))
-    return False
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
