@@ -86,8 +86,8 @@ def _read(
     count = max(model.cloud_size, min(len(points), model.most_points))
     cloud = points[systematic_sample(points[:, :2], count, rng)]
     device = next(model.parameters()).device
-    places = (float_tensor(frame.to_network(x), device)[None] for x in (cloud, np.zeros(3)))
-    seen, camera = places
+    seen = float_tensor(frame.to_network(cloud), device)[None]
+    camera = float_tensor(frame.to_network(np.zeros(3)), device)[None]
     around = surroundings_of([evidence], [frame], device)
     return Sampling(frame, model.encode(seen, camera, surroundings=around))
 

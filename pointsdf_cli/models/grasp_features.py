@@ -80,8 +80,14 @@ def object_body(points: Array, field: Callable[[Array], NDArray[np.floating]]) -
     centre = (low + high) / 2
     mass_centre = (inside @ places) / total if total > 1e-6 else centre
     level = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(points[:, :2].T)), 0, None))
-    side, *others = (x / LENGTH for x in (np.cbrt(volume), high[2], *level, extent.max()))
-    numbers = [side, volume / LENGTH**3, *others]
+    numbers = [
+        np.cbrt(volume) / LENGTH,
+        volume / LENGTH**3,
+        high[2] / LENGTH,
+        level[0] / LENGTH,
+        level[1] / LENGTH,
+        extent.max() / LENGTH,
+    ]
     return ObjectBody(*(torch.tensor(np.array(v), dtype=torch.float32) for v in
                         (centre, mass_centre, numbers)))  # fmt: skip
 

@@ -47,10 +47,11 @@ class HandChain:
         # Joints of one depth together: four fingers take as many steps as one.
         self._levels = []
         order = [self.links[0]]
-        for level, parents in joint_levels(joints, self.links[0]):
-            places = parents, columns_of(level, robot.hand_joints)
-            motions = map(constant, joint_motions(level))
-            self._levels.append((*map(torch.tensor, places), *motions))
+        for level, above in joint_levels(joints, self.links[0]):
+            parents = torch.tensor(above)
+            columns = torch.tensor(columns_of(level, robot.hand_joints))
+            fixed, with_sine, with_versine, offset, slide = map(constant, joint_motions(level))
+            self._levels.append((parents, columns, fixed, with_sine, with_versine, offset, slide))
             order += [joint.child for joint in level]
         self._order = torch.tensor([order.index(link) for link in self.links])
         joints = list(robot.joints[len(robot.arm_joints) :])

@@ -33,10 +33,10 @@ def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
     """
     queries, points = queries.float(), points.float()
     # [−2q, |q|², 1] · [p, 1, |p|²]: one product in place of a product and two broadcast sums.
-    ones, squares = torch.ones_like(queries[..., :1]), (queries * queries).sum(-1, keepdim=True)
-    left = torch.cat([-2.0 * queries, squares, ones], dim=-1)
-    ones, squares = torch.ones_like(points[..., :1]), (points * points).sum(-1, keepdim=True)
-    right = torch.cat([points, ones, squares], dim=-1)
+    query_squares = (queries * queries).sum(-1, keepdim=True)
+    point_squares = (points * points).sum(-1, keepdim=True)
+    left = torch.cat([-2.0 * queries, query_squares, torch.ones_like(query_squares)], dim=-1)
+    right = torch.cat([points, torch.ones_like(point_squares), point_squares], dim=-1)
     with torch.autocast(queries.device.type, enabled=False):
         return torch.bmm(left, right.transpose(1, 2)).clamp_(min=0.0)
 

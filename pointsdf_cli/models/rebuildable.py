@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,9 +18,9 @@ class Rebuildable(nn.Module):
         """Keep the arguments for `config`.
 
         Args:
-            given: `locals()` at the beginning of `__init__`.
+            given: `locals()` at the beginning of `__init__`; other variables are left out.
         """
-        ours = given.keys() - {"self", "__class__"}
+        ours = inspect.signature(type(self)).parameters
         self._arguments = {name: plain(value) for name, value in given.items() if name in ours}
 
     def config(self) -> dict[str, Any]:

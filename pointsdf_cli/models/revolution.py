@@ -161,8 +161,17 @@ def symmetric_points(
     direction = axis.direction.unsqueeze(1)
     symmetric = axis.point.unsqueeze(1) + height * direction + radius * seen_radial
     turned = (radial * seen_radial).sum(-1, keepdim=True)
-    miss = torch.tanh(torch.stack([axis.miss / 0.01, axis.miss / 0.05], dim=-1))
-    of_axis = miss.unsqueeze(1), axis.spread.view(-1, 1, 1)
-    same = (each.expand(-1, x.shape[1], -1) for each in of_axis)
-    off = (torch.tanh(d / 0.05) for d in (radius - seen_radius, height - seen_height))
-    return symmetric, torch.cat([*same, turned, *off, radius, height], dim=-1)
+    miss = torch.stack([axis.miss / 0.01, axis.miss / 0.05], dim=-1).unsqueeze(1)
+    trust = torch.cat(
+        [
+            torch.tanh(miss).expand(-1, x.shape[1], -1),
+            axis.spread.view(-1, 1, 1).expand(-1, x.shape[1], 1),
+            turned,
+            torch.tanh((radius - seen_radius) / 0.05),
+            torch.tanh((height - seen_height) / 0.05),
+            radius,
+            height,
+        ],
+        dim=-1,
+    )
+    return symmetric, trust

@@ -191,10 +191,16 @@ def plane_evidence(x: Tensor, cloud: Tensor, around: Surroundings) -> Tensor:
     height = ((x @ normal).squeeze(-1) - offset) * known
     heights = (cloud @ normal).squeeze(-1) - offset
     ends = torch.stack([heights.amin(1), heights.amax(1)], dim=-1) * known
-    lengths = torch.stack([height, torch.tanh(height / SHARP), torch.tanh(height / SOFT)], dim=-1)
-    of_view = around.plane[:, :3], ends, around.known
-    same = (each.unsqueeze(1).expand(-1, x.shape[1], -1) for each in of_view)
-    return torch.cat([lengths, *same], dim=-1)
+    count = x.shape[1]
+    return torch.cat(
+        [
+            torch.stack([height, torch.tanh(height / SHARP), torch.tanh(height / SOFT)], dim=-1),
+            around.plane[:, None, :3].expand(-1, count, -1),
+            ends.unsqueeze(1).expand(-1, count, -1),
+            around.known.unsqueeze(1).expand(-1, count, -1),
+        ],
+        dim=-1,
+    )
 
 
 def signed_distance(inside: NDArray[np.bool_], cell: float, widest: float) -> NDArray[np.float64]:

@@ -118,18 +118,26 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
         scene = np.unique(grasps.scene[chosen], return_inverse=True)[1]
         succeeded = (grasps.label[chosen] == HELD) & (grasps.unshaken[chosen] != 0)
-        planned = np.full(len(chosen), "preshapes" in collection)
-        of_file = np.full(len(chosen), number), planned, scene + scenes
-        poses = grasps.q[chosen][:, columns], grasps.T_world_palm[chosen]
-        seen = grasps.T_world_camera[chosen], grasps.cloud[chosen], grasps.kind[chosen]
-        rows.append((*of_file, *poses, *seen, succeeded.astype(np.float32)))
+        rows.append(
+            {
+                "object_of": np.full(len(chosen), number),
+                "planned": np.full(len(chosen), "preshapes" in collection),
+                "scene_of": scene + scenes,
+                "preshape": grasps.q[chosen][:, columns],
+                "T_world_palm": grasps.T_world_palm[chosen],
+                "T_world_camera": grasps.T_world_camera[chosen],
+                "cloud": grasps.cloud[chosen],
+                "kind": grasps.kind[chosen],
+                "label": succeeded.astype(np.float32),
+            }
+        )
         scenes += int(scene.max()) + 1
         kept.append(file)
     if not rows:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     names = [file.relative_to(folder).with_suffix("").as_posix() for file in kept]
-    joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    return GraspData(names, kept, list(held_out), np.array(list(held_out.values())), *joined)
+    joined = {field: np.concatenate([row[field] for row in rows]) for field in rows[0]}
+    return GraspData(names, kept, list(held_out), np.array(list(held_out.values())), **joined)
 
 
 def _require_one_push(pushes: dict[float, Path], file: Path, execution: Any) -> None:

@@ -93,10 +93,10 @@ def evidence_of(
             allowed="a network of signed distances, such as pointsdf-ray",
         )
     tasks = []
-    asked, precision = sweep and asdict(sweep), str(autocast_dtype("auto", torch.device("cpu")))
-    alike = weights, asked, robot_digest(robot), precision
+    asked = None if sweep is None else asdict(sweep)
+    digest, precision = robot_digest(robot), str(autocast_dtype("auto", torch.device("cpu")))
     for name, file in zip(data.names, data.files, strict=True):
-        decides = [RECIPE, file_sha256(file), *alike]
+        decides = [RECIPE, file_sha256(file), weights, asked, digest, precision]
         key = hashlib.sha256(json.dumps(decides).encode()).hexdigest()
         out = cache / f"{name.replace('/', '__')}-{key[:16]}.h5"
         tasks.append((name, EvidenceTask(file, out, key, encoder, sweep, robot)))

@@ -150,7 +150,8 @@ class CloudInputs(Learner):
         self._neighbours = packed["neighbours"]
         self._scene = data.scene_of
         frames = [network_frame(cloud) for cloud in clouds]
-        centre, scale = map(np.array, zip(*(frames[s] for s in data.scene_of), strict=True))
+        centre = np.array([frames[s].centre for s in data.scene_of])
+        scale = np.array([frames[s].scale for s in data.scene_of])
         self._numbers, self._size = pose_numbers(data, centre, scale)
 
     def pose_and_size(self) -> tuple[Tensor, Tensor]:

@@ -130,9 +130,14 @@ class _Run:
             fused=True,
         )
         self.average = WeightAverage(model, config.average)
-        # Other views lie elsewhere, other labels are other numbers.
-        views = pack.names, pack.object_of_view, pack.label_start, pack.to_network
-        self._data_hash = data_sha256(*views, pack.sdf[::LABEL_STRIDE], *split)
+        self._data_hash = data_sha256(
+            pack.names,
+            pack.object_of_view,
+            pack.label_start,
+            pack.to_network,  # other views lie elsewhere, other labels are other numbers
+            pack.sdf[::LABEL_STRIDE],
+            *split,
+        )
         self.step, self.seconds = 0, 0.0
         self.history: list[dict[str, float]] = []
         # Losses since the last validation: their number, the sum of those that were read back, and

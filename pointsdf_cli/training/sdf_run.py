@@ -82,10 +82,10 @@ class SdfRun:
             "data": {
                 "objects": len(data.names),
                 "views": len(data.scale),
-                **{
-                    key: None if unknown else sorted({*held_out, *before.get(key, ())})
-                    for key, held_out in (("held_out", names), ("held_out_meshes", meshes))
-                },
+                "held_out": None if unknown else sorted({*names, *before.get("held_out", ())}),
+                "held_out_meshes": None
+                if unknown
+                else sorted({*meshes, *before.get("held_out_meshes", ())}),
             },
             "git_commit": git_commit(),
         }
