@@ -234,8 +234,8 @@ def _standard_deviations(
     information, scatter = np.zeros((12, 12)), np.zeros((12, 12))
     step = 1e-6
     for i in images:
-        ways = step * np.eye(12)
-        differences = [residuals(way, i) - residuals(-way, i) for way in ways]
+        steps = step * np.eye(12)
+        differences = [residuals(change, i) - residuals(-change, i) for change in steps]
         jacobian = np.stack(differences, axis=1) / (2 * step)
         gradient = jacobian.T @ residuals(np.zeros(12), i)
         information += jacobian.T @ jacobian

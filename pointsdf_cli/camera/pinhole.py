@@ -62,8 +62,9 @@ class Camera:
 
     def back_project(self, u: ArrayLike, v: ArrayLike, depth: ArrayLike) -> NDArray[np.float64]:
         """Points [..., 3] in the camera frame of pixels (u, v) at `depth` [m] along z."""
-        numbers = (np.asarray(given, np.float64) for given in (u, v, depth))
-        u, v, depth = np.broadcast_arrays(*numbers)
+        u, v, depth = np.broadcast_arrays(
+            np.asarray(u, np.float64), np.asarray(v, np.float64), np.asarray(depth, np.float64)
+        )
         x, y = (u - self.cx) / self.fx * depth, (v - self.cy) / self.fy * depth
         return np.stack([x, y, depth], axis=-1)
 

@@ -173,18 +173,7 @@ def _neighbours(
         bodies.append(body)
     # Drawn last: without it a seed gives the same scenes.
     if config.neighbours and config.hiding and rng.random() < config.hiding:
-        body = _simple_body(np.array([*rng.uniform(0.03, 0.2, 2), 0.1]), rng)
-        body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
-        azimuth = towards + rng.normal(0, 0.35)
-        away = _stand(body, middle, reach + rng.uniform(0.003, GAP / 2), azimuth)
-        # As tall as hides the object up to a random height: the line of sight from there to the
-        # camera rises over the body's foot.
-        hidden_to = rng.uniform(*HIDING_HEIGHT) * float(resting[:, 2].max())
-        level = float(np.linalg.norm(eye[:2] - middle))
-        rises = (float(eye[2]) - hidden_to) / max(level, 1e-3)
-        height = np.clip(hidden_to + away * rises, 0.02, TALLEST)
-        body.apply_scale([1.0, 1.0, height / float(body.vertices[:, 2].max())])
-        bodies.append(body)
+        bodies.append(_hiding_body(resting, eye, middle, reach, towards, rng))
     return bodies
 
 
@@ -205,6 +194,30 @@ def _stand(body: trimesh.Trimesh, middle: Array, clear: float, azimuth: float) -
     foot = middle + away * np.array([np.cos(azimuth), np.sin(azimuth)])
     body.apply_translation([*foot, -body.vertices[:, 2].min()])
     return away
+
+
+def _hiding_body(
+    resting: Array,
+    eye: Array,
+    middle: Array,
+    reach: float,
+    towards: float,
+    rng: np.random.Generator,
+) -> trimesh.Trimesh:
+    """A body before the object, as tall as hides the object up to a random height.
+
+    The line of sight from there to the camera `eye` [3] rises over the body's foot.
+    """
+    body = _simple_body(np.array([*rng.uniform(0.03, 0.2, 2), 0.1]), rng)
+    body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
+    azimuth = towards + rng.normal(0, 0.35)
+    away = _stand(body, middle, reach + rng.uniform(0.003, GAP / 2), azimuth)
+    hidden_to = rng.uniform(*HIDING_HEIGHT) * float(resting[:, 2].max())
+    level = float(np.linalg.norm(eye[:2] - middle))
+    rises = (float(eye[2]) - hidden_to) / max(level, 1e-3)
+    height = np.clip(hidden_to + away * rises, 0.02, TALLEST)
+    body.apply_scale([1.0, 1.0, height / float(body.vertices[:, 2].max())])
+    return body
 
 
 def _compose(

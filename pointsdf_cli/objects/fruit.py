@@ -181,8 +181,9 @@ def cucumber(draw: Draw) -> Manifold:
     bow = length / sweep
     path = np.column_stack([bow * np.sin(angle), bow * (np.cos(angle) - 1), np.zeros_like(t)])
     at = [0, 0.04, 0.12, 0.3, 0.6, 0.9, 0.97, 1]
-    ends = 0.3 * blossom, 0.7 * blossom, 0.95 * blossom, stem, 0.7 * stem, 0.3 * stem
-    swell = smooth_steps(at, [*ends[:3], 1, (1 + stem) / 2, *ends[3:]], t)
+    blossom_end = [0.3 * blossom, 0.7 * blossom, 0.95 * blossom]
+    stem_end = [(1 + stem) / 2, stem, 0.7 * stem, 0.3 * stem]
+    swell = smooth_steps(at, [*blossom_end, 1, *stem_end], t)
     return tube(path, radius * swell, corners=20)
 
 

@@ -33,18 +33,31 @@ class StandIn:
     size: tuple[float, float, float]
 
 
-_SHAPE = ("half_width", "depth_ratio", "height_ratio", "squareness", "waist", "top_ratio")
-
-
-def _bottle(size: tuple[float, float, float], cap: str, *shape: float) -> StandIn:
-    """A squeeze bottle with a cap of this form; `shape` has a value for each of `_SHAPE`."""
-    parameters: dict[str, Value] = dict(zip(_SHAPE, shape, strict=True))
-    return StandIn("squeeze_bottle", parameters | {"cap_form": cap}, size)
+def _bottle(size: tuple[float, float, float], **parameters: Value) -> StandIn:
+    return StandIn("squeeze_bottle", parameters, size)
 
 
 STAND_INS: dict[str, StandIn] = {
-    "mustard": _bottle((0.096, 0.058, 0.191), "nozzle", 0.048, 0.6, 3.5, 2.6, 0.95, 0.8),
-    "soft_scrub": _bottle((0.102, 0.068, 0.251), "flat", 0.051, 0.67, 4.6, 3.2, 0.9, 0.85),
+    "mustard": _bottle(
+        (0.096, 0.058, 0.191),
+        cap_form="nozzle",
+        half_width=0.048,
+        depth_ratio=0.6,
+        height_ratio=3.5,
+        squareness=2.6,
+        waist=0.95,
+        top_ratio=0.8,
+    ),
+    "soft_scrub": _bottle(
+        (0.102, 0.068, 0.251),
+        cap_form="flat",
+        half_width=0.051,
+        depth_ratio=0.67,
+        height_ratio=4.6,
+        squareness=3.2,
+        waist=0.9,
+        top_ratio=0.85,
+    ),
     "toy_airplane": StandIn(
         "aeroplane",
         {
@@ -82,7 +95,16 @@ STAND_INS: dict[str, StandIn] = {
         {"width": 0.064, "depth_ratio": 0.66, "height_ratio": 1.64, "top": "flat", "cap": False},
         (0.064, 0.042, 0.105),
     ),
-    "max_gel": _bottle((0.075, 0.055, 0.185), "dome", 0.0375, 0.73, 4.4, 2.2, 1.0, 0.95),
+    "max_gel": _bottle(
+        (0.075, 0.055, 0.185),
+        cap_form="dome",
+        half_width=0.0375,
+        depth_ratio=0.73,
+        height_ratio=4.4,
+        squareness=2.2,
+        waist=1.0,
+        top_ratio=0.95,
+    ),
 }
 
 

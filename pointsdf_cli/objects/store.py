@@ -151,8 +151,11 @@ def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None
         if about is None:
             continue
         if not force:
-            what = f"has the number of {ours}, but is of another seed or other families "
-            raise OptionsDifferError.of_file(other, f"{what}(seed {about.get('seed')})")
+            seed = about.get("seed")
+            what = (
+                f"has the number of {ours}, but is of another seed or other families (seed {seed})"
+            )
+            raise OptionsDifferError.of_file(other, what)
         other.unlink(missing_ok=True)
 
 

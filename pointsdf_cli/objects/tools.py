@@ -91,10 +91,9 @@ def screwdriver(draw: Draw) -> Manifold:
         handle -= union([groove.translate(tuple(place)) for place in places])
     rod = cylinder(shaft, shaft_length + 0.01, segments=20).translate((0, 0, handle_length - 0.01))
     end = handle_length + shaft_length
-    *sides, exponent, corners = _TIPS[draw.choice("tip", tuple(_TIPS))]
-    wide, deep = shaft * np.array(sides)
+    wide, deep, exponent, corners = _TIPS[draw.choice("tip", tuple(_TIPS))]
     z = np.array([-0.004, 0.0, 0.009, 0.012]) + end
-    point = loft_sections(z, wide, deep, exponent, corners)
+    point = loft_sections(z, shaft * np.array(wide), shaft * np.array(deep), exponent, corners)
     return union([handle, rod, point]).rotate((0, 90, 0))
 
 
