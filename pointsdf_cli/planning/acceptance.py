@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,9 +36,11 @@ class AcceptanceConfig:
 
     def __post_init__(self) -> None:
         if not (0 <= self.least <= self.success < 1 and 0 <= self.floor < 1):
-            bounds = f"at least {self.least:g}, good above {self.success:g}"
-            given, allowed = f"a probability of success of {bounds}", "0 ≤ least ≤ good < 1"
-            raise InputError(given, where="--min-success", allowed=allowed)
+            raise InputError(
+                f"a probability of success of at least {self.least:g}, good above {self.success:g}",
+                where="--min-success",
+                allowed="0 ≤ least ≤ good < 1",
+            )
         if not self.objective > 0:
             raise InputError(f"a largest objective of {self.objective:g}", allowed="above 0")
 
@@ -107,34 +109,36 @@ def judge(
     limit = np.minimum(x - problem.lower, problem.upper - x).min(axis=1)
     candidates = []
     for b in range(len(x)):
-        made = Candidate(
-            x=x[b].copy(),
-            q=problem.variables.configuration(x[b]),
-            success=float(np.exp(cost.log_success[b])),
-            log_prior=float(cost.log_prior[b]),
-            objective=float(cost.value[b]),
-            object_slack=float(slack.object[b]),
-            table_slack=float(slack.table[b]),
-            obstacle_slack=float(slack.obstacles[b]),
-            self_slack=float(slack.self_collision[b]),
-            reason="",
-            kind=kinds[b] if kinds else "",
+        success = float(np.exp(cost.log_success[b]))
+        distances = {
+            "object_collision": float(slack.object[b]),
+            "table_collision": float(min(slack.table[b], slack.obstacles[b])),
+            "self_collision": float(slack.self_collision[b]),
+        }
+        worst = min(distances, key=lambda key: distances[key])
+        reason = ""
+        # Comparisons that NaN fails, too.
+        if not limit[b] >= 0:
+            reason = "solver"
+        elif not distances[worst] >= 0:
+            reason = worst
+        elif not success > config.least:
+            reason = "low_success_probability"
+        elif not cost.value[b] < config.objective:
+            reason = "objective"
+        candidates.append(
+            Candidate(
+                x=x[b].copy(),
+                q=problem.variables.configuration(x[b]),
+                success=success,
+                log_prior=float(cost.log_prior[b]),
+                objective=float(cost.value[b]),
+                object_slack=float(slack.object[b]),
+                table_slack=float(slack.table[b]),
+                obstacle_slack=float(slack.obstacles[b]),
+                self_slack=float(slack.self_collision[b]),
+                reason=reason,
+                kind=kinds[b] if kinds else "",
+            )
         )
-        reason = "" if limit[b] >= 0 else "solver"  # NaN fails this, and what follows
-        candidates.append(replace(made, reason=reason or _reason(made, config)))
     return candidates
-
-
-def _reason(made: Candidate, config: AcceptanceConfig) -> str:
-    """Reason why a candidate within the joint limits is rejected; empty if it is accepted."""
-    distances = {
-        "object_collision": made.object_slack,
-        "table_collision": min(made.table_slack, made.obstacle_slack),
-        "self_collision": made.self_slack,
-    }
-    worst = min(distances, key=lambda key: distances[key])
-    if not distances[worst] >= 0:
-        return worst
-    if not made.success > config.least:
-        return "low_success_probability"
-    return "" if made.objective < config.objective else "objective"

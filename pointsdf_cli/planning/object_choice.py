@@ -215,25 +215,29 @@ def choose(
     mine = np.isin(label, list(by_label))
     if target.pixel is not None:
         if pixels is None:
-            missing, allowed = (
+            raise InputError(
                 "a pixel, but the cloud has no image",
-                "a number, or X,Y,Z in the world",
+                where="--target",
+                allowed="a number, or X,Y,Z in the world",
+                hint="add --intrinsics K.json, or give the depth image instead of the cloud",
             )
-            hint = "add --intrinsics K.json, or give the depth image instead of the cloud"
-            raise InputError(missing, where="--target", allowed=allowed, hint=hint)
         away = np.linalg.norm(pixels[mine] - np.asarray(target.pixel), axis=1)
         if away.min() > PIXEL_REACH:
-            wrong = "no object at the pixel {:g},{:g}".format(*target.pixel)
-            nearest = f"the nearest one is {away.min():.0f} pixels away"
-            hint = "rgrasp segment, with the same options, shows what there is"
-            raise NoObjectError(f"{wrong}: {nearest}", where=where, hint=hint)
+            raise NoObjectError(
+                f"no object at the pixel {target.pixel[0]:g},{target.pixel[1]:g}: the nearest one "
+                f"is {away.min():.0f} pixels away",
+                where=where,
+                hint="rgrasp segment, with the same options, shows what there is",
+            )
     else:
         away = np.linalg.norm(points[mine] - np.asarray(target.place), axis=1)
         if away.min() > TARGET_REACH:
-            wrong = f"the object nearest to --target is {away.min():.2f} m away from it"
-            advice = f"give a place within {TARGET_REACH:g} m of an object in the world"
-            hint = f"{advice}; rgrasp segment, with the same options, lists them"
-            raise NoObjectError(wrong, where=where, hint=hint)
+            raise NoObjectError(
+                f"the object nearest to --target is {away.min():.2f} m away from it",
+                where=where,
+                hint=f"give a place within {TARGET_REACH:g} m of an object in the world; rgrasp "
+                "segment, with the same options, lists them",
+            )
     return by_label[int(label[mine][away.argmin()])]
 
 

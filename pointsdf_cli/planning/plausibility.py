@@ -72,11 +72,13 @@ def require_table_at_zero(
     for world, name in zip(worlds, names, strict=True):
         wrong = _wrong_table(world)
         if wrong:
-            message = f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong"
-            order = "check --depth-scale, --intrinsics, then --camera-pose"
-            unknown = "if only the pose is unknown: --camera-pose table"
-            hint = f"{order}; {unknown}. If there is no table: {without_table}"
-            raise InputError(message, where=name, allowed="a level table at z = 0", hint=hint)
+            raise InputError(
+                f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong",
+                where=name,
+                allowed="a level table at z = 0",
+                hint="check --depth-scale, --intrinsics, then --camera-pose; if only the pose is "
+                f"unknown: --camera-pose table. If there is no table: {without_table}",
+            )
 
 
 def _wrong_table(world: Array) -> str:
@@ -104,16 +106,19 @@ def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
         worlds: Points [N, 3] of each view in the world, m.
     """
     if height is not None and abs(height) > UNEVEN:
-        seen = f"the table is seen at z = {height * 1000:.0f} mm, not 0"
-        above = "; the robot keeps above it" if height > 0 else ""
-        return f"{seen}: it is uneven, or the camera's pose is wrong{above}"
+        return (
+            f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
+            "camera's pose is wrong" + ("; the robot keeps above it" if height > 0 else "")
+        )
     if height is not None:
         return ""
     heights = np.concatenate(worlds)[:, 2]
     below = float((heights < -BELOW).mean())
     if below > MUCH:
-        seen = f"no table is seen at z = 0, and {below:.0%} of the points lie below it"
-        return f"{seen}: check the camera's pose"
+        return (
+            f"no table is seen at z = 0, and {below:.0%} of the points lie below it: check the "
+            "camera's pose"
+        )
     nothing = not (np.abs(heights) < BELOW).any()
     return "nothing is seen at z = 0, the table: check the camera's pose" if nothing else ""
 
@@ -164,9 +169,10 @@ def outside_workspace(labelled: Sequence[LabelledView], reach: Reach) -> str:
     if near.sum() < MANY:
         return ""
     x, y, z = np.median(points[near], axis=0)
-    there = f"around {x:.2f},{y:.2f},{z:.2f} m is within the arm's reach but outside the workspace"
-    advice = "name it with --environment, or widen --workspace"
-    return f"something {there}, so it is no obstacle: {advice}"
+    return (
+        f"something around {x:.2f},{y:.2f},{z:.2f} m is within the arm's reach but outside the "
+        "workspace, so it is no obstacle: name it with --environment, or widen --workspace"
+    )
 
 
 def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
@@ -192,9 +198,10 @@ def below_table(view: View, table: float) -> str:
     height = float(view.T_world_camera[2, 3]) - table
     if height > -BELOW:
         return ""
-    seen = f"the camera stands {-100 * height:.0f} cm below the table and looks up through it"
-    meaning = "--camera-pose is the camera in the world, not the world in the camera"
-    return f"{seen}: check its pose ({meaning})"
+    return (
+        f"the camera stands {-100 * height:.0f} cm below the table and looks up through it: check "
+        "its pose (--camera-pose is the camera in the world, not the world in the camera)"
+    )
 
 
 def in_the_air(views: Sequence[View], table: float) -> str:
@@ -206,8 +213,10 @@ def in_the_air(views: Sequence[View], table: float) -> str:
     level = [way for way in ways if np.arctan2(way[2], np.linalg.norm(way[:2])) < STEEP]
     if gap < ABOVE or not level:
         return ""
-    seen = f"the object's lowest seen point is {100 * gap:.0f} cm above the table"
-    return f"{seen}: does it float, does something hide its foot, or is the camera's pose wrong?"
+    return (
+        f"the object's lowest seen point is {100 * gap:.0f} cm above the table: does it float, "
+        "does something hide its foot, or is the camera's pose wrong?"
+    )
 
 
 def from_inside(view: View) -> str:
@@ -226,9 +235,9 @@ def from_inside(view: View) -> str:
     opens_up = float(-cap @ view.T_world_camera[2, :3]) / max(size, 1e-9)
     if size > 0.8 or cap @ centre < 0 or opens_up > 0.5:
         return ""
-    inside = "this is the inside of something hollow that lies on its side"
     return (
-        f"the seen points bulge away from the camera: {inside}, or the cloud or its pose is wrong"
+        "the seen points bulge away from the camera: this is the inside of something hollow that "
+        "lies on its side, or the cloud or its pose is wrong"
     )
 
 
@@ -252,9 +261,10 @@ def seen_through(views: Sequence[View]) -> str:
             worst = max(worst, float(past.sum()) / len(other.in_world))
     if worst < MUCH_THROUGH:
         return ""
-    seen = f"{worst:.0%} of the points that one camera sees on the object"
-    doubt = "is a pose wrong, are the poses in the order of the images, has the object moved?"
-    return f"{seen} lie where another saw past it: {doubt}"
+    return (
+        f"{worst:.0%} of the points that one camera sees on the object lie where another saw past "
+        "it: is a pose wrong, are the poses in the order of the images, has the object moved?"
+    )
 
 
 def in_parts(world: Array) -> str:
@@ -265,9 +275,10 @@ def in_parts(world: Array) -> str:
         return ""
     centres = np.stack([world[label == k].mean(axis=0) for k in large])
     away = max(float(np.linalg.norm(a - b)) for a in centres for b in centres)
-    apart = f"the object's points lie in {len(large)} parts up to {100 * away:.0f} cm apart"
-    now = "with --segment none they are taken for one object"
-    return f"{apart}: {now}; --segment auto takes one of them"
+    return (
+        f"the object's points lie in {len(large)} parts up to {100 * away:.0f} cm apart: with "
+        "--segment none they are taken for one object; --segment auto takes one of them"
+    )
 
 
 def _ball(points: Array) -> tuple[Array, float] | None:

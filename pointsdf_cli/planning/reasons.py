@@ -9,7 +9,6 @@ solution would fail for a low success probability.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import add
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
@@ -75,7 +74,8 @@ class SeedStatistics:
     itself: int = 0
 
     def __add__(self, other: SeedStatistics) -> SeedStatistics:
-        return SeedStatistics(*map(add, vars(self).values(), vars(other).values()))
+        sums = {name: count + getattr(other, name) for name, count in vars(self).items()}
+        return SeedStatistics(**sums)
 
     @property
     def in_the_way(self) -> str:
@@ -144,12 +144,16 @@ def few_grasps(learned_from: int | None) -> list[str]:
 def warning(chosen: Candidate, seeds_tried: int) -> str:
     """Warning for a plan whose grasp would not have been accepted."""
     if chosen.closing_slack < 0:
-        none = f"Of {seeds_tried} grasps none closes clear of obstacles"
-        best = f"this one comes {-chosen.closing_slack * 1000:.0f} mm too near"
-        return f"{none}; {best}. Clear the space around the object, or turn it."
-    none = f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing"
-    best = f"predicted to hold with probability {chosen.success:.2f} only"
-    return f"{none}, {best}. Turn the object, or look at it from another side."
+        return (
+            f"Of {seeds_tried} grasps none closes clear of obstacles; this one comes "
+            f"{-chosen.closing_slack * 1000:.0f} mm too near. Clear the space around the "
+            "object, or turn it."
+        )
+    return (
+        f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing, "
+        f"predicted to hold with probability {chosen.success:.2f} only. Turn the object, or look "
+        "at it from another side."
+    )
 
 
 def explain(

@@ -300,13 +300,14 @@ def chosen_object(
         last = view.objects.count - 1
         return next(item for item in view.listed if item.label == last)
     if not view.listed:
-        counts = np.bincount(-np.minimum(view.label, 0), minlength=6)
-        outside, table, loose, robot = counts[1:5]
-        seen = f"{outside} are outside the workspace, {table} on the table"
-        few = f"{loose} in groups too small, {robot} on the robot"
-        none = f"no object in the cloud: of {len(view.label)} points {seen}, {few}"
-        around = f"between {workspace.low} and {workspace.high} m in the world"
-        allowed = f"at least {FEWEST} points of an object above the table, {around}"
-        hint = "check the camera's pose (--camera-pose), the cloud's unit, or --workspace"
-        raise NoObjectError(none, where=view.name, allowed=allowed, hint=hint)
+        count = np.bincount(-np.minimum(view.label, 0), minlength=6)
+        raise NoObjectError(
+            f"no object in the cloud: of {len(view.label)} points {count[1]} are outside the "
+            f"workspace, {count[2]} on the table, {count[3]} in groups too small, {count[4]} on "
+            "the robot",
+            where=view.name,
+            allowed=f"at least {FEWEST} points of an object above the table, between "
+            f"{workspace.low} and {workspace.high} m in the world",
+            hint="check the camera's pose (--camera-pose), the cloud's unit, or --workspace",
+        )
     return choose(view.listed, wanted, view.world, view.objects.label, view.pixels, view.name)
