@@ -7,7 +7,6 @@ hull: lower bounds, whose constraints are inactive.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from copy import copy
 from functools import cache, partial
 
@@ -115,13 +114,14 @@ class BodyDistances:
         shape_turn = turn @ self._local[:, :3, :3]
         shape_at = (turn @ self._local[:, :3, 3, None])[..., 0] + at
 
+        @cache
         def placement(b: int, body: int) -> coal.Transform3s:
             return coal.Transform3s(shape_turn[b, body], shape_at[b, body])
 
-        rows, columns = np.nonzero(near)
-        exact = self._exact(rows, columns, placement)
-        for b, m, (distance, inside, result) in zip(rows, columns, exact, strict=True):
-            gap[b, m] = distance
+        result = coal.DistanceResult()
+        for b, m in np.argwhere(near).tolist():
+            i, j = self._pairs[m].tolist()
+            gap[b, m], inside = self._measure(i, j, placement(b, i), placement(b, j), result)
             contacts.point[b, m] = result.getNearestPoint1()
             contacts.other_point[b, m] = result.getNearestPoint2()
             # coal's normal points from the first to the second.
@@ -137,9 +137,10 @@ class BodyDistances:
         above = centre[:, 2] - self._table_height - self._radii[first]
         gap = np.where(self._table[second], above, gap)
         near = np.flatnonzero(gap < self.exact_to)
-        exact = self._exact(rows[near], columns[near], partial(self._placement, poses))
-        for k, (distance, _, _) in zip(near, exact, strict=True):
-            gap[k] = distance
+        placement, result = cache(partial(self._placement, poses)), coal.DistanceResult()
+        for k in near.tolist():
+            row, i, j = int(rows[k]), int(first[k]), int(second[k])
+            gap[k], _ = self._measure(i, j, placement(row, i), placement(row, j), result)
         return np.asarray(gap)
 
     def _centred(self, poses: Poses, rows: Indices, bodies: Indices) -> Array:
@@ -157,38 +158,38 @@ class BodyDistances:
         place = turn @ local[:3, 3] + poses.position[row, link]
         return coal.Transform3s(turn @ local[:3, :3], place)
 
-    def _exact(
+    def _measure(
         self,
-        rows: Indices,
-        columns: Indices,
-        placement: Callable[[int, int], coal.Transform3s],
-    ) -> Iterator[tuple[float, bool, coal.DistanceResult]]:
-        """Exact distance [m] of each of K pairs, whether its first body is wholly inside of the
-        second, and coal's result, which the next pair overwrites.
+        first: int,
+        second: int,
+        one: coal.Transform3s,
+        two: coal.Transform3s,
+        result: coal.DistanceResult,
+    ) -> tuple[float, bool]:
+        """Exact distance [m] of two bodies, and whether the first is wholly inside of the second.
 
         Args:
-            rows, columns: [K], each pair's configuration, and its column.
-            placement: Function from a configuration and a body to the pose of the body's shape.
+            first, second: The bodies.
+            one, two: Poses of their shapes.
+            result: Is overwritten with coal's nearest points and normal.
         """
-        placement, result = cache(placement), coal.DistanceResult()
-        for row, (first, second) in zip(rows.tolist(), self._pairs[columns].tolist(), strict=True):
-            shape, other = self._bodies[first].geometry, self._bodies[second].geometry
-            one, two = placement(row, first), placement(row, second)
-            mesh, distance = self._meshes.get(second), -np.inf
-            if mesh is not None:
-                result.clear()
-                distance = coal.distance(shape, one, mesh.hull, two, self._request, result)
-            far = distance > self.exact_to
-            if not far:
-                result.clear()
-                distance = coal.distance(shape, one, other, two, self._request, result)
-            inside = False
-            if mesh is not None and not far and distance > 0:
-                # A shape that is wholly inside of a closed mesh does not touch its triangles: its
-                # shortest way out is through the nearest one.
-                point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
-                inside = mesh.inside(point)
-            yield -distance - self._radii[first] if inside else distance, inside, result
+        shape, other = self._bodies[first].geometry, self._bodies[second].geometry
+        mesh = self._meshes.get(second)
+        if mesh is not None:
+            result.clear()
+            least = coal.distance(shape, one, mesh.hull, two, self._request, result)
+            if least > self.exact_to:
+                return least, False
+        result.clear()
+        distance = coal.distance(shape, one, other, two, self._request, result)
+        if mesh is None or not distance > 0:
+            return distance, False
+        point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
+        if not mesh.inside(point):
+            return distance, False
+        # A shape that is wholly inside of a closed mesh does not touch its triangles: its shortest
+        # way out is through the nearest one.
+        return -distance - self._radii[first], True
 
 
 def _settle_boxes() -> None:

@@ -8,6 +8,7 @@ and the least penetration of the object are passed on.
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import level_width
@@ -38,7 +39,7 @@ class HandOutline:
         self._kinematics = kinematics
         surface = robot_surface(robot, SPACING)
         links = [link for link in robot.hand_links if link in surface]
-        self._links = [(link, surface[link]) for link in links]
+        self._links = [(link, torch.tensor(surface[link])) for link in links]
         ranges = robot.preshape_ranges
         opened = self(np.stack([ranges[:, 0], ranges.mean(axis=1), ranges[:, 1]]))
         jaws = self.jaws = jaws_of(robot)

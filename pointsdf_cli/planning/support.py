@@ -73,8 +73,9 @@ def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array)
     turn = np.arctan2(*(places[:, :2] - centre).T[::-1]) / (2 * np.pi)
     sector = np.floor(turn * DIRECTIONS).astype(np.int64)
     likely = places[np.unique(sector, return_index=True)[1]]
+    batches = [likely, *(places[k : k + BATCH] for k in range(0, len(places), BATCH))]
     feet = likely[:0]
-    for some in (likely, *(places[k : k + BATCH] for k in range(0, len(places), BATCH))):
+    for some in batches:
         feet = np.concatenate([feet, some[field(some) < 0]])
         if _above(feet[:, :2], centre):
             return True

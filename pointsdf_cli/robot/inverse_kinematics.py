@@ -86,13 +86,16 @@ class InverseKinematics:
         goals = np.repeat(goals, starts, axis=0)
         reached = np.zeros(len(q), dtype=bool)
         active = np.arange(len(q))
-        for k in range(self.config.iterations + 1):
+        for _ in range(self.config.iterations):
             error, jacobian, done = self._error(q[active], goals[active])
             reached[active[done]] = True
             active, error, jacobian = active[~done], error[~done], jacobian[~done]
-            if k == self.config.iterations or not len(active):
+            if not len(active):
                 break
             q[active] = self._step(q[active], error, jacobian)
+        else:
+            _, _, done = self._error(q[active], goals[active])
+            reached[active[done]] = True
         return IkSolutions(q.reshape(count, starts, -1), reached.reshape(count, starts))
 
     def _error(self, q: Array, goals: Array) -> tuple[Array, Array, Mask]:

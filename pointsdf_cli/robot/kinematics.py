@@ -36,8 +36,13 @@ class Kinematics:
         levels = joint_levels(robot.tree.joints, self.links[0])
         joints = [joint for here, _ in levels for joint in here]
         by_level = [self.links[0], *(joint.child for joint in joints)]
+        rotation, sine, versine, offset, slide = joint_motions(joints)
         self._arrays = _Constants(
-            *joint_motions(joints),
+            rotation=rotation,
+            sine=sine,
+            versine=versine,
+            offset=offset,
+            slide=slide,
             base=np.array(robot.T_world_base[:3]),
             columns=np.array(columns_of(joints, robot.joint_names)),
             order=np.array([by_level.index(link) for link in self.links]),

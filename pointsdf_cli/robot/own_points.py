@@ -13,6 +13,8 @@ from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
 
 if TYPE_CHECKING:
+    import torch
+
     from pointsdf_cli.robot.kinematics import Kinematics
 
 ROBOT_MARGIN = 0.03
@@ -22,16 +24,19 @@ ROBOT_MARGIN = 0.03
 def robot_points(robot: RobotDescription, q: Array) -> Array:
     """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
     kinematics, surface = _surface_of(robot)
-    return np.concatenate(kinematics.points(q, surface.items()))
+    return np.concatenate(kinematics.points(q, surface))
 
 
 @functools.lru_cache(maxsize=8)
-def _surface_of(robot: RobotDescription) -> tuple[Kinematics, dict[str, Array]]:
+def _surface_of(robot: RobotDescription) -> tuple[Kinematics, list[tuple[str, torch.Tensor]]]:
     """Kinematics of a robot, and surface samples [P, 3] of its links in their frames, m."""
+    import torch
+
     from pointsdf_cli.robot.kinematics import Kinematics
     from pointsdf_cli.robot.surface import robot_surface
 
-    return Kinematics(robot), robot_surface(robot)
+    surface = [(link, torch.tensor(points)) for link, points in robot_surface(robot).items()]
+    return Kinematics(robot), surface
 
 
 def off_robot(points: Array, own: Array) -> Mask:

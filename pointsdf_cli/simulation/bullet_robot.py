@@ -56,7 +56,8 @@ class BulletRobot:
         # Body of each joint, and its number there; -1 if it is absent.
         joints = np.array([by_name.get(name, (-1, -1)) for name in robot.joint_names])
         self._body, self._number = joints.T
-        self._all = list(self._by_body(np.arange(len(joints))))
+        self._found: dict[tuple[int, ...], list[tuple[int, NDArray[np.intp], list[int]]]] = {}
+        self._all = self._by_body(np.arange(len(joints)))
         self._couple(by_name)
 
     def _couple(self, by_name: dict[str, tuple[int, int]]) -> None:
@@ -66,8 +67,17 @@ class BulletRobot:
             if joint.mimic is None or not {joint.name, joint.mimic[0]} <= by_name.keys():
                 continue
             leader, ratio = joint.mimic
-            both, axis, origin = (*by_name[leader], *by_name[joint.name]), [1, 0, 0], [0, 0, 0]
-            gear = b.createConstraint(*both, b.JOINT_GEAR, axis, origin, origin)
+            (first, first_number), (body, number) = by_name[leader], by_name[joint.name]
+            gear = b.createConstraint(
+                first,
+                first_number,
+                body,
+                number,
+                b.JOINT_GEAR,
+                jointAxis=[1, 0, 0],
+                parentFramePosition=[0, 0, 0],
+                childFramePosition=[0, 0, 0],
+            )
             b.changeConstraint(gear, gearRatio=-1 / ratio, erp=GEAR_RECOVERY, maxForce=GEAR_FORCE)
 
     def _load(self, file: Path, T_world_root: Array) -> int:
@@ -154,13 +164,17 @@ class BulletRobot:
             self.drive_to(q, columns, self.robot.effort[columns])
             yield
 
-    def _by_body(self, columns: NDArray[np.intp]) -> Iterator[tuple[int, NDArray, list[int]]]:
+    def _by_body(self, columns: NDArray[np.intp]) -> list[tuple[int, NDArray[np.intp], list[int]]]:
         """Group joints (columns in q) by body: body, places in the list, numbers in the body."""
-        of = self._body[columns]
-        for body in self.bodies:
-            places = np.flatnonzero(of == body)
-            if len(places):
-                yield body, places, self._number[columns[places]].tolist()
+        key = tuple(columns.tolist())
+        if key not in self._found:
+            of, groups = self._body[columns], []
+            for body in self.bodies:
+                places = np.flatnonzero(of == body)
+                if len(places):
+                    groups.append((body, places, self._number[columns[places]].tolist()))
+            self._found[key] = groups
+        return self._found[key]
 
 
 class CarriedHand(BulletRobot):

@@ -241,7 +241,8 @@ def _inertial(shapes: tuple[Shape, ...]) -> ET.Element:
     node = ET.Element("inertial")
     ET.SubElement(node, "origin", xyz=" ".join(f"{value:.9g}" for value in centre))
     ET.SubElement(node, "mass", value=f"{mass:.9g}")
-    upper = zip(*np.triu_indices(3), strict=True)
-    moments = {f"i{'xyz'[i]}{'xyz'[k]}": f"{inertia[i, k]:.9g}" for i, k in upper}
+    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2)}
+    names["izz"] = (2, 2)
+    moments = {name: f"{inertia[place]:.9g}" for name, place in names.items()}
     ET.SubElement(node, "inertia", moments)
     return node

@@ -180,10 +180,11 @@ def _spread(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
     """Farthest-point sampling that starts from the six axis extremes."""
     chosen = sorted({int(i) for i in [*points.argmin(axis=0), *points.argmax(axis=0)]})
     distance = np.full(len(points), np.inf)
-    for k in range(count):
-        if k == len(chosen):
-            chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, ((points - points[chosen[k]]) ** 2).sum(axis=1))
+    for i in chosen:
+        distance = np.minimum(distance, ((points - points[i]) ** 2).sum(axis=1))
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
     return np.array(chosen)
 
 

@@ -101,7 +101,8 @@ class Observer:
             for item, pose in standing
         ]
         surfaces = [*parts, *self._robot, _table()]
-        vertices, faces = trimesh.util.append_faces(*zip(*surfaces, strict=True))
+        vertices, faces = zip(*surfaces, strict=True)
+        vertices, faces = trimesh.util.append_faces(vertices, faces)
         camera = self.placement.camera
         patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
         sensor = load_sensor(self.placement.sensor).with_noise(self.placement.noise)
