@@ -102,8 +102,16 @@ class MeshSettings:
         # The object is wanted in the camera's frame: where the robot is does not matter.
         over_table = pose is None and is_depth_image(path, files.intrinsics)
         pose = "table" if over_table else pose
-        options = self.target, self.robot, corners, self.cleaned, self.start
-        seen = segmented_view(path, files, pose, *options)
+        seen = segmented_view(
+            path,
+            files,
+            pose,
+            target=self.target,
+            robot=self.robot,
+            workspace=corners,
+            cleaned=self.cleaned,
+            start=self.start,
+        )
         if not over_table:
             return seen
         from pointsdf_cli.planning.scene_input import FROM_TABLE
@@ -260,5 +268,6 @@ def segmented_cloud(
     q = robot.home if q is None else q
     with as_input_error(kind=NoObjectError):
         found = look_at_table([cloud], [name], there, q, "auto", target, workspace, cleaned)
-    (view,), (_, pose) = found.views, cloud.in_camera_frame()
+    view = found.views[0]
+    _, pose = cloud.in_camera_frame()
     return ObjectView(view.points, pose, cloud.frame, found.report, False, view.evidence)

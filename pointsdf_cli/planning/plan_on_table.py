@@ -64,9 +64,17 @@ class TablePlan:
     def result(self, options: PlanOptions) -> PlanResult:
         """The result in plain data, with the planner's options."""
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-        shared = self.report, self.warnings, self.start, self.points, self.camera, self.obstacles
-        least = options.planner.synthesis.acceptance.least
-        return PlanResult(self.answer.plan, *shared, plain, least)
+        return PlanResult(
+            plan=self.answer.plan,
+            report=self.report,
+            warnings=self.warnings,
+            start=self.start,
+            points=self.points,
+            camera=self.camera,
+            obstacles=self.obstacles,
+            options=plain,
+            least=options.planner.synthesis.acceptance.least,
+        )
 
 
 def answer_request(

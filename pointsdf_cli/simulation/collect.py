@@ -47,11 +47,11 @@ class CollectTask:
         config: Settings that determine outcomes.
         seed: Random seed.
         robot: YAML file of the robot; the bundled one if None.
+        patience: Two numbers: the largest number of attempts (executed or not) before the first
+            executed grasp, and its increase for each executed grasp.
         force: Replace an existing file.
         source: Planner that proposes preshapes; the paper's heuristic if None.
         unit: Unit of the mesh.
-        patience: Two numbers: the largest number of attempts (executed or not) before the first
-            executed grasp, and its increase for each executed grasp.
     """
 
     name: str
@@ -62,10 +62,10 @@ class CollectTask:
     config: AttemptConfig
     seed: int
     robot: Path | None = None
+    patience: tuple[int, int] = (60, 12)
     force: bool = False
     source: PreshapeSource | None = None
     unit: str = "m"
-    patience: tuple[int, int] = (60, 12)
 
     def goes_on(self, attempts: int, executed: int) -> bool:
         """Whether a further attempt is wanted after some, of which some were executed."""
@@ -113,8 +113,14 @@ def collect_object(task: CollectTask) -> dict[str, int] | None:
     made = as_grasps(attempts)
     grasps = made if done is None else join_grasps([done, made])
     robot = attempter.robot
-    joints = robot.joint_names, robot.preshape_joints
-    meta = GraspsMeta(task.mesh.name, mesh.sha256, task.split, robot.name, *joints)
+    meta = GraspsMeta(
+        task.mesh.name,
+        mesh.sha256,
+        task.split,
+        robot.name,
+        robot.joint_names,
+        robot.preshape_joints,
+    )
     write_grasps(task.out, grasps, meta, seed=task.seed, config=config)
     return made.count()
 
@@ -183,7 +189,17 @@ def make_tasks(
     quotas = first_quotas(splits, count)
     return {
         name: CollectTask(
-            name, mesh, path, quotas[name], splits[name], config, seed, robot, force, source, unit
+            name=name,
+            mesh=mesh,
+            out=path,
+            quota=quotas[name],
+            split=splits[name],
+            config=config,
+            seed=seed,
+            robot=robot,
+            force=force,
+            source=source,
+            unit=unit,
         )
         for name, (mesh, path) in paths.items()
     }
@@ -245,7 +261,7 @@ def _attempter(
 
 def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:
     """Number of executed grasps in the first quotas of each split."""
-    return {
-        split: sum(quota for name, quota in quotas.items() if splits[name] == split)
-        for split in (TRAIN, TEST)
-    }
+    totals = {TRAIN: 0, TEST: 0}
+    for name, quota in quotas.items():
+        totals[splits[name]] += quota
+    return totals

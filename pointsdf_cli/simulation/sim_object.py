@@ -66,4 +66,11 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None, fine: bool = Fal
     # Bounded below: contact solvers fail at moments near 0, as flat objects have about one axis.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]
-    return SimObject(mesh, body, transform(axes, centre), mass, moments, poses)
+    return SimObject(
+        mesh=mesh,
+        pieces=body,
+        T_mesh_body=transform(axes, centre),
+        mass=mass,
+        inertia=moments,
+        poses=poses,
+    )

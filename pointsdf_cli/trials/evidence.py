@@ -42,14 +42,16 @@ def evidence_of(
     vertices, faces = _few_faces(*(nothing if believed is None else believed))
     stride = max(1, len(view.points) // SHOWN_POINTS)
     placed = np.array(poses, dtype=np.float64)
+    target, standing = placed[0], placed[1:]
     if plan is not None and executed is not None:
         moments = executed.moments
         phases = ("planned", *(m.phase for m in moments))
         q = np.stack([plan.q, *(m.q for m in moments)])
-        objects = np.stack([placed[0], *(m.T_world_object for m in moments)])
-        others = np.stack([placed[1:], *(m.T_world_others for m in moments)])
+        objects = np.stack([target, *(m.T_world_object for m in moments)])
+        others = np.stack([standing, *(m.T_world_others for m in moments)])
     else:
-        phases, q, objects, others = ("home",), home[None], placed[:1], placed[None, 1:]
+        phases, q = ("home",), home[None]
+        objects, others = target[None], standing[None]
     return Evidence(
         cloud=view.in_world[::stride].astype(np.float32),
         T_world_camera=view.T_world_camera,

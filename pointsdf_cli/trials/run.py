@@ -144,8 +144,17 @@ class TrialRunner:
         plan = None if answer is None else answer.plan
         executed = None
         if plan is not None and plan.status == OK:
-            motion, config = (plan.trajectory, plan.times, plan.lift), self.config.execution
-            executed = execute_plan(self._world, *standing[0], *motion, config, recorder, others)
+            executed = execute_plan(
+                self._world,
+                item,
+                T_world_object,
+                plan.trajectory,
+                plan.times,
+                plan.lift,
+                config=self.config.execution,
+                watch=recorder,
+                others=others,
+            )
         row = self._row(trial, yaw, plan, executed, spent, truth)
         if others:
             ends = [] if executed is None else [one.pose() for one in self._world.others]

@@ -78,7 +78,7 @@ def place_object(world: World, item: SimObject, trial: Trial) -> tuple[SimObject
     """
     rng = trial.rng("pose")
     if trial.object.upright:
-        poses = iter([upright_pose(item)])
+        poses: Iterable[StablePose] = [upright_pose(item)]
     else:
         poses = random_poses(item, TARGET_STANDING, rng)
     standing, resting = at_rest(world, item, trial.object.name, poses)
