@@ -43,6 +43,12 @@ SLOWEST_BODY = 60.0
 """Time limit for receiving a body [s]; it holds a place in the queue meanwhile."""
 
 Answer = tuple[bytes, str]
+DESCRIPTION = (
+    "Grasps of objects that nobody has modelled. Lengths in metres, angles in radians. Answers are "
+    "JSON, or with `Accept: application/x-npz` arrays; of /plan also `application/x-hdf5`, the "
+    "file that `rgrasp plan` writes."
+)
+"""The server, as its OpenAPI page describes it."""
 
 
 class TooLargeError(InputError):
@@ -68,9 +74,7 @@ def make_app(
     app = FastAPIOffline(  # robots' machines rarely reach the internet
         title="rgrasp",
         version=__version__,
-        description="Grasps of objects that nobody has modelled. Lengths in metres, angles in "
-        "radians. Answers are JSON, or with `Accept: application/x-npz` arrays; of /plan also "
-        "`application/x-hdf5`, the file that `rgrasp plan` writes.",
+        description=DESCRIPTION,
         redoc_url=None,
     )
     app.add_middleware(Gate, host=host, token=token)
@@ -78,12 +82,8 @@ def make_app(
     @app.get("/health")
     async def health() -> dict[str, Any]:
         """Whether the server answers, and how many requests have a place."""
-        return {
-            "status": "ok",
-            "version": __version__,
-            "waiting": queue.waiting,
-            "done": queue.done,
-        }
+        told = {"status": "ok", "version": __version__}
+        return {**told, "waiting": queue.waiting, "done": queue.done}
 
     parts: dict[str, Any] = {}
 
