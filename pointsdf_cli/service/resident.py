@@ -105,14 +105,14 @@ class Resident:
             )
         start = start_configuration(request.start, robot)
         seen = look_for(request.target, request, robot, start)
-        sight = planner.see(seen.views, request.seed, table=request.environment.table)
+        perceived = planner.see(seen.views, request.seed, table=request.environment.table)
         variables = Variables(robot)
         with torch.no_grad():
             hand = torch.from_numpy(q[:, robot.preshape_columns])
             palm = planner.planner.kinematics.palm(
                 variables.configuration_tensor(torch.from_numpy(variables.of(q)))
             )
-            return sight.target.score.log_success(hand, palm).double().exp().numpy()
+            return perceived.target.score.log_success(hand, palm).double().exp().numpy()
 
     def mesh(self, view: ObjectView, choices: MeshChoices, name: str) -> CompletedMesh:
         """The whole shape of the object in a view.
