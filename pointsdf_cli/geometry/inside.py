@@ -62,7 +62,7 @@ def _area(a: Array, b: Array) -> Array:
 
 
 def face_planes(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array]:
-    """Unit normals [F, 3] and offsets [F] m of the planes of a mesh's faces, but those of no area.
+    """Unit normals [F, 3] and offsets [F] m of the planes of a mesh's faces with an area.
 
     Args:
         vertices: [V, 3], m.

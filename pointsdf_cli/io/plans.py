@@ -53,7 +53,7 @@ TOLD = (
     *("status", "reason", "sentence", "kind", "joint_names", "q", "T_world_palm"),
     *("success_probability", "objective", "seeds_tried", "timings", "trajectory", "times", "lift"),
 )
-"""Fields of a plan that are told as they are in JSON."""
+"""Fields of a plan that its JSON form repeats unchanged."""
 OK, NO_PLAN = "ok", "no_plan"
 SLACKS = ("object", "table", "obstacles", "self")
 

@@ -26,7 +26,7 @@ NPY_ERRORS = (
     ValueError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
     MemoryError, tokenize.TokenError,
 )  # fmt: skip
-"""An NPY file's header is a Python expression, and its parser answers in all of these ways."""
+"""Errors of NumPy's parser of NPY headers, which are Python expressions."""
 
 
 def read_yaml(path: Path, first_document: bool = False) -> Any:

@@ -75,7 +75,7 @@ def _straight(
 
 
 def with_arm(robot: RobotDescription, q: Array, path: Array) -> Array:
-    """Configurations [T, J] that are q [J] but for the arm, which is on a path [T, A]."""
+    """Configurations [T, J]: q [J] with the arm at the points of a path [T, A]."""
     whole = np.tile(q, (len(path), 1))
     whole[:, robot.arm] = path
     return whole

@@ -261,5 +261,5 @@ class RefinedField:
 
 
 def cautious(field: Field) -> Field:
-    """A field that never exceeds `field`, and is quicker where it can be."""
+    """A lower bound of `field`, quicker to evaluate where possible."""
     return field.cautious() if isinstance(field, RefinedField) else field

@@ -182,8 +182,8 @@ def columns_of(joints: Iterable[Joint], names: Sequence[str]) -> list[int]:
 
 
 def joint_motions(joints: Sequence[Joint]) -> tuple[Array, Array, Array, Array, Array]:
-    """Constants of Rodrigues: R(q) = R0 + sin q R0 K + (1 - cos q) R0 K²; p(q) = p0 + q R0 a if it
-    slides.
+    """Constants of Rodrigues' formula, R(q) = R0 + sin q R0 K + (1 - cos q) R0 K²; where a joint
+    slides, p(q) = p0 + q R0 a.
 
     Returns:
         R0, R0 K and R0 K² [N, 3, 3], p0 and R0 a [N, 3], in the frame of each joint's parent; 0

@@ -25,7 +25,7 @@ def require_positive(settings: object, *names: str) -> None:
 
 
 def require_share(settings: object, name: str) -> None:
-    """Require a setting to be a share of a whole, but for none and all of it.
+    """Require a setting to lie between 0 and 1, both excluded.
 
     Raises:
         InputError: It is not.
