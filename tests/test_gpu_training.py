@@ -173,10 +173,36 @@ def test_large_clouds_are_drawn_from_views_that_have_the_points():
     assert len(torch.unique(cloud[0], dim=0)) > 2900  # none of them twice, but for rounding
 
 
+def test_clouds_made_with_a_view_are_those_that_a_step_would_make():
+    from make_views import MOST_POINTS, sampled
+    from views_on_device import Views, _first_layer
+
+    make = np.random.default_rng(4)
+    counts = np.array([150, 1500, 3000], np.int32)
+    points = make.normal(size=(3, MOST_POINTS, 3)).astype(np.float16)
+    parts = [
+        {"points": points[k], "count": counts[k], "object": np.int32(0),
+         "camera": np.array([0, 0, -9.0], np.float32)} for k in range(3)
+    ]  # fmt: skip
+    rows = [part | sampled(part, 2, make) for part in parts]
+    views = Views(4, 2, torch.device("cpu"), 0.001, (1000, 3000), samplings=2)
+    views._is_labelled[0] = True
+    views.add_arrays([{name: np.stack([row[name] for row in rows]) for name in rows[0]}])
+    for number, size in ((0, 1000), (1, 1000), (2, 3000)):
+        cloud, neighbours = views._clouds(torch.tensor([number]), size)
+        own = torch.from_numpy(points[number, : counts[number]].astype(np.float32))
+        assert set(map(tuple, cloud[0].tolist())) <= set(map(tuple, own.tolist()))
+        assert len(torch.unique(cloud[0], dim=0)) >= 0.9 * min(size, counts[number])
+        if counts[number] >= size:
+            again, nearest = _first_layer(cloud)
+            assert torch.equal(again, cloud)
+            assert torch.equal(nearest, neighbours)
+
+
 def test_a_short_run_writes_a_checkpoint(tmp_path):
     make = [sys.executable, GPU / "make_views.py", tmp_path / "views", "--objects", "8",
             "--validation", "2", "--views", "2", "--group", "2", "--workers", "1",
-            "--files", "4"]  # fmt: skip
+            "--files", "4", "--samplings", "1"]  # fmt: skip
     subprocess.run(make, check=True)
     assert (tmp_path / "views" / "000000.npz").is_file()
     learn = [sys.executable, GPU / "learn.py", tmp_path / "views", tmp_path / "out", "--device",
@@ -195,7 +221,7 @@ def test_a_scan_becomes_several_objects(tmp_path):
     trimesh.creation.box((0.04, 0.06, 0.1)).export(tmp_path / "box.ply")
     options = argparse.Namespace(
         validation=0, seed=5, objects=3, meshes=tmp_path, group=100, views=1, exact=1.0,
-        spread=0.0, dark=0.0, out=tmp_path,
+        spread=0.0, dark=0.0, samplings=0, out=tmp_path,
     )  # fmt: skip
     first = next(make_views.tasks(options))
     scans = sorted((one for one in first.sources if one.path), key=lambda one: one.number)

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from rays import use_embree_without_open3d
 from threadpoolctl import threadpool_limits
@@ -37,12 +38,16 @@ from pointsdf_cli.geometry.signed_distance import sample_surface
 from pointsdf_cli.geometry.visibility import SIZE
 from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
 from pointsdf_cli.io.provenance import git_commit
+from pointsdf_cli.models.neighbours import farthest_point_order, nearest_neighbours
 from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.shape_model import PACKED_CENTRES, PACKED_NEIGHBOURS
 from pointsdf_cli.models.surroundings import signed_distance
 from pointsdf_cli.objects.generate import make_object
 
 MOST_POINTS = 3000
-"""Points kept of a view; each step draws the network's 1000 from them anew."""
+"""Points kept of a view; each step draws the network's from them anew."""
+SIZES = (1000, 2000, 3000)
+"""Sizes of the clouds that `--samplings` makes."""
 LABELS = 12_000
 UNKNOWN = -60.0
 """Free depth of rays without evidence."""
@@ -91,7 +96,8 @@ class Source:
 
 @dataclass(frozen=True)
 class Task:
-    """One file to make; `labelled` where the objects' labels go with it."""
+    """One file to make; `labelled` where the objects' labels go with it. `samplings`: as in
+    `sampled`."""
 
     number: int
     sources: tuple[Source, ...]
@@ -99,6 +105,7 @@ class Task:
     labelled: bool
     config: SceneViewConfig
     out: Path
+    samplings: int = 0
 
 
 def make_file(task: Task) -> int:
@@ -115,7 +122,8 @@ def make_file(task: Task) -> int:
             print(f"object {source.number}: {error}", file=sys.stderr)
             continue
         number = np.array(source.number, np.int32)
-        rows += [view_arrays(view, rng) | {"object": number} for view in drawn]
+        made = [view_arrays(view, rng) | {"object": number} for view in drawn]
+        rows += [row | sampled(row, task.samplings, rng) for row in made]
         if task.labelled:
             labels.append(label_arrays(mesh, rng) | {"label_object": number})
     if rows:
@@ -185,6 +193,36 @@ def view_arrays(view: SceneView, rng: np.random.Generator) -> dict[str, NDArray]
     return arrays | {"points": kept, "count": total, "free": free, "regions": regions}
 
 
+def sampled(
+    row: dict[str, NDArray], samplings: int, rng: np.random.Generator
+) -> dict[str, NDArray]:
+    """Clouds of each of `SIZES` from a view's points, ready for the network: on a processor a step
+    spends half of its time on making them.
+
+    For each size N that the view has the points for, `indices<N>` i2 [samplings, N], the farthest
+    points first, and `neighbours<N>` i2 [samplings, M, K] of these.
+    """
+    arrays: dict[str, NDArray] = {}
+    points, total = row["points"].astype(np.float32), int(row["count"])
+    for size in SIZES if samplings else ():
+        indices = np.zeros((samplings, size), np.int16)
+        neighbours = np.zeros((samplings, PACKED_CENTRES, PACKED_NEIGHBOURS), np.int16)
+        for k in range(samplings if total >= size or size == SIZES[0] else 0):
+            # The points lie along a curve already.
+            steps = ((np.arange(size) + rng.random()) * (total / size)).astype(np.int64)
+            chosen = np.arange(size) if total < size else np.minimum(steps, total - 1)
+            chosen[chosen >= total] = rng.integers(total, size=max(0, size - total))
+            cloud = torch.from_numpy(points[chosen])[None]
+            rank = np.arange(size, 2 * size)
+            rank[farthest_point_order(cloud, PACKED_CENTRES)[0].numpy()] = range(PACKED_CENTRES)
+            order = np.argsort(rank)
+            cloud, indices[k] = cloud[:, order], chosen[order]
+            centres = cloud[:, :PACKED_CENTRES]
+            neighbours[k] = nearest_neighbours(centres, cloud, PACKED_NEIGHBOURS)[0].numpy()
+        arrays |= {f"indices{size}": indices, f"neighbours{size}": neighbours}
+    return arrays
+
+
 def label_arrays(mesh: LoadedMesh, rng: np.random.Generator) -> dict[str, NDArray]:
     """Points to label about the box's centre, spread as `sample_sdf` does, and the triangles."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
@@ -211,7 +249,8 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
     held = [Source(k, VALIDATION_SEED, k) for k in range(options.validation)]
     for first in range(0, len(held), 8):
         group = tuple(held[first : first + 8])
-        yield Task(first, group, VALIDATION_VIEWS, True, preset, options.out / "valid")
+        valid = options.out / "valid"
+        yield Task(first, group, VALIDATION_VIEWS, True, preset, valid, options.samplings)
     rng = np.random.default_rng(options.seed)
     stretched = rng.random(options.objects) < STRETCHED
     every = [Source(k, options.seed, k, None, bool(s)) for k, s in enumerate(stretched)]
@@ -223,13 +262,16 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
         order = rng.permutation(len(every))
         for first in range(0, len(order), options.group):
             sources = tuple(every[k] for k in order[first : first + options.group])
-            yield Task(number, sources, options.views, turn == 0, config, options.out)
+            labelled = turn == 0
+            yield Task(
+                number, sources, options.views, labelled, config, options.out, options.samplings
+            )
             number += 1
 
 
 def write_recipe(options: argparse.Namespace) -> None:
     """Write the options that decide what the views are, for the checkpoint's config."""
-    names = ("seed", "objects", "views", "exact", "spread", "dark")
+    names = ("seed", "objects", "views", "exact", "spread", "dark", "samplings")
     recipe = {name: getattr(options, name) for name in names} | {
         "scans": len(find_meshes(options.meshes)) if options.meshes else 0,
         "shapes_per_scan": SCAN_SHAPES,
@@ -257,6 +299,9 @@ def main() -> None:
     parser.add_argument("--exact", type=float, default=0.4, help="share of views without errors")
     parser.add_argument("--spread", type=float, default=0.5, help="spread of the sensors' errors")
     parser.add_argument("--dark", type=float, default=0.15, help="share of views of dark things")
+    parser.add_argument("--samplings", type=int, default=0,
+                        help="clouds of each size and view to make here; 0: in learn.py, each "
+                             "step anew, which only a GPU does quickly")  # fmt: skip
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()
@@ -268,6 +313,7 @@ def main() -> None:
     use_embree_without_open3d()
     # Leaving the block below ends the workers.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    torch.set_num_threads(1)
     context = multiprocessing.get_context("fork")
     with context.Pool(options.workers, threadpool_limits, (1,)) as pool:
         waiting = [pool.apply_async(make_file, (task,)) for task in

@@ -73,6 +73,7 @@ class Views:
         device: Device of the tensors.
         sideways: As in `revolution_axis`.
         sizes: Sizes of clouds that `draw` is asked for, the smallest first.
+        samplings: Clouds of each size that come with each view; 0: each batch makes its own.
     """
 
     def __init__(
@@ -82,12 +83,14 @@ class Views:
         device: torch.device,
         sideways: float,
         sizes: Sequence[int] = (CLOUD_SIZE,),
+        samplings: int = 0,
     ) -> None:
         self.device, self.capacity, self._sideways = device, capacity, sideways
-        self.sizes = tuple(sizes)
+        self.sizes, self._samplings = tuple(sizes), samplings
+        columns = COLUMNS | (_sampling_columns(self.sizes, samplings) if samplings else {})
         self._rows = {
             name: torch.zeros((capacity, *shape), dtype=kind, device=device)
-            for name, (shape, kind) in COLUMNS.items()
+            for name, (shape, kind) in columns.items()
         }
         self._x = torch.zeros((objects, LABELS, 3), device=device)
         self._sdf = torch.zeros((objects, LABELS), device=device)
@@ -155,8 +158,8 @@ class Views:
         """Axes and boxes: eigenvectors of small matrices are slow on GPUs, and hardly depend on
         which of a view's points a step draws."""
         rows, camera = self._rows, self._rows["camera"][new]
-        cloud = self._sample(torch.arange(new.start, new.stop, device=self.device))
-        cloud, neighbours = _first_layer(cloud)
+        views = torch.arange(new.start, new.stop, device=self.device)
+        cloud, neighbours = self._clouds(views, self.sizes[0])
         centres = cloud[:, :PACKED_CENTRES]
         normals = surface_normals(centres, neighbours, cloud, camera)
         axis = revolution_axis(centres, normals, camera, self._sideways)
@@ -188,6 +191,16 @@ class Views:
         """Whether views have enough points for a size, bool [N]; for the smallest all have."""
         return self._rows["count"][views] >= (0 if size == self.sizes[0] else size)
 
+    def _clouds(self, views: Tensor, size: int) -> tuple[Tensor, Tensor]:
+        """Clouds [B, size, 3] of views, their farthest points first, and the neighbours of these
+        [B, M, K]."""
+        if not self._samplings:
+            return _first_layer(self._sample(views, size))
+        drawn = (torch.rand(len(views), device=self.device) * self._samplings).long()
+        index = self._rows[f"indices{size}"][views, drawn].long()
+        cloud = gather(self._rows["points"][views].float(), index)
+        return cloud, self._rows[f"neighbours{size}"][views, drawn].long()
+
     def _sample(self, views: Tensor, size: int = CLOUD_SIZE) -> Tensor:
         """Points [B, size, 3] of each view, as `systematic_sample` takes them."""
         total = self._rows["count"][views].float()[:, None]
@@ -217,9 +230,9 @@ class Views:
             evidence: Whether the space around the objects is known; None: as in training.
             size: Points of each cloud.
         """
-        rows = {name: table[views] for name, table in self._rows.items() if name != "points"}
+        rows = {name: self._rows[name][views] for name in COLUMNS if name != "points"}
         count, device = len(views), self.device
-        cloud, turn = self._sample(views, size), self._turns(count, augment)
+        (cloud, neighbours), turn = self._clouds(views, size), self._turns(count, augment)
         back = turn.transpose(1, 2)
         cloud = cloud @ back
         low, high = cloud.amin(1, keepdim=True), cloud.amax(1, keepdim=True)
@@ -247,7 +260,6 @@ class Views:
         if augment:
             raised = (torch.rand(count, device=device) < RAISED).float()
             around = lower_plane(around, raised * HIGHEST * torch.rand(count, device=device))
-        cloud, neighbours = _first_layer(cloud)
         x = (x @ back - centre) * scale
         symmetry = _turned_symmetry(rows, turn, centre[:, 0], scale[:, 0])
         return Batch(cloud, camera, neighbours, x, sdf, around), symmetry
@@ -261,6 +273,16 @@ class Views:
             turn[:, 0, 0], turn[:, 0, 1] = angle.cos() * mirror, -angle.sin()
             turn[:, 1, 0], turn[:, 1, 1] = angle.sin() * mirror, angle.cos()
         return turn
+
+
+def _sampling_columns(
+    sizes: Sequence[int], samplings: int
+) -> dict[str, tuple[tuple[int, ...], torch.dtype]]:
+    """The columns of `make_views.sampled`."""
+    shapes = {f"indices{size}": (samplings, size) for size in sizes}
+    nearest = (samplings, PACKED_CENTRES, PACKED_NEIGHBOURS)
+    every = shapes | {f"neighbours{size}": nearest for size in sizes}
+    return {name: (shape, torch.int16) for name, shape in every.items()}
 
 
 def _first_layer(cloud: Tensor) -> tuple[Tensor, Tensor]:
