@@ -14,7 +14,7 @@ import trimesh
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.repair import close_mesh
-from pointsdf_cli.geometry.sdf_sampling import enclosed_volume
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.io.input_files import largest_input
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh, save_mesh
 

@@ -11,9 +11,10 @@ import pytest
 import trimesh
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.objects.families import FAMILIES, choose_families
 from pointsdf_cli.objects.family import Draw
-from pointsdf_cli.objects.finish import MOST_FACES, mesh_volume
+from pointsdf_cli.objects.finish import MOST_FACES
 from pointsdf_cli.objects.generate import GeneratedObject, build, family_of, make_object
 
 PER_FAMILY = 2
@@ -72,7 +73,7 @@ def test_family_makes_closed_objects_of_household_size(
         extent = np.ptp(made.vertices, axis=0)
         assert 0.03 <= extent.max() <= 0.35
         assert extent.min() > 0.0008
-        volume = mesh_volume(made.vertices, made.faces)
+        volume = enclosed_volume(made.vertices, made.faces)
         assert 1e-9 < volume <= extent.astype(float).prod()
         assert len(made.faces) <= MOST_FACES
         assert made.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6)
@@ -137,7 +138,7 @@ def test_ball_has_a_balls_volume() -> None:
         if made.parameters["form"] == "smooth":
             radius = float(made.parameters["radius"])
             break
-    volume = mesh_volume(made.vertices, made.faces)
+    volume = enclosed_volume(made.vertices, made.faces)
     assert volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.02)
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from manifold3d import CrossSection, Manifold
 
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.objects.finish import (
     UnusableShape,
     closed_surface_problem,
-    mesh_volume,
     stand,
     to_arrays,
     weld,
@@ -130,14 +130,14 @@ def test_splitting_one_long_edge_keeps_the_mesh_closed() -> None:
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     split_vertices, split_faces = split_long_edges(vertices, faces, 2.0)
     assert closed_surface_problem(split_vertices, split_faces) == ""
-    assert mesh_volume(split_vertices, split_faces) == pytest.approx(5 / 6)
+    assert enclosed_volume(split_vertices, split_faces) == pytest.approx(5 / 6)
 
 
 def test_volume_of_a_tetrahedron_has_the_sign_of_its_faces() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    assert mesh_volume(vertices, faces) == pytest.approx(1 / 6)
-    assert mesh_volume(vertices, faces[:, ::-1]) == pytest.approx(-1 / 6)
+    assert enclosed_volume(vertices, faces) == pytest.approx(1 / 6)
+    assert enclosed_volume(vertices, faces[:, ::-1]) == pytest.approx(-1 / 6)
 
 
 def test_weld_joins_equal_vertices_and_drops_collapsed_faces() -> None:

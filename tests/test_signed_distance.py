@@ -10,8 +10,9 @@ import pytest
 import trimesh
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.sdf_sampling import SamplingConfig, enclosed_volume, sample_sdf
+from pointsdf_cli.geometry.sdf_sampling import SamplingConfig, sample_sdf
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
+from pointsdf_cli.geometry.volume import enclosed_volume
 
 POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (20_000, 3))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pointsdf_cli.geometry.sdf_sampling import enclosed_volume
 from pointsdf_cli.geometry.smoothing import taubin_smooth
+from pointsdf_cli.geometry.volume import enclosed_volume
 
 BALL = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
 FACES = np.asarray(BALL.faces, np.int32)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
+from pointsdf_cli.geometry.volume import enclosed_volume
 
 MARGIN = 1.03
 """Margin factor of the unit box over the object scaled into it (docs/method.md, "object frame")."""
@@ -98,12 +99,6 @@ def sample_sdf(
     )
     _refuse_nonsense(samples, uniform)
     return samples
-
-
-def enclosed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
-    """The volume that a closed, outward oriented surface encloses (divergence theorem)."""
-    a, b, c = (vertices - vertices.mean(axis=0))[faces].swapaxes(0, 1)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def _refuse_nonsense(samples: SdfSamples, uniform: int) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from manifold3d import Error, Manifold
 
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.objects.family import Draw
 from pointsdf_cli.objects.refine import refine
 
@@ -128,12 +129,6 @@ def closed_surface_problem(vertices: np.ndarray, faces: np.ndarray) -> str:
     graph = scipy.sparse.coo_array((joined, tuple(edges.T)), shape=(len(vertices),) * 2)
     if scipy.sparse.csgraph.connected_components(graph, directed=False)[0] != 1:
         return "more than one piece"
-    if mesh_volume(vertices, faces) <= 1e-9:
+    if enclosed_volume(vertices, faces) <= 1e-9:
         return "no volume"
     return ""
-
-
-def mesh_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume in m³ inside a closed mesh, positive when its faces look outwards."""
-    a, b, c = np.asarray(vertices, dtype=float)[faces].transpose(1, 0, 2)
-    return float(np.sum(a * np.cross(b, c)) / 6)

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.io.atomic import TEMPORARY_MARK, require_folder, write_text_atomic
 from pointsdf_cli.io.batch import StageReport, run_stage, shard_of
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
 from pointsdf_cli.objects.families import choose_families
-from pointsdf_cli.objects.finish import mesh_volume
 from pointsdf_cli.objects.generate import GENERATOR_VERSION, family_of, make_object
 
 MANIFEST = "objects.csv"
@@ -112,7 +112,7 @@ def make_file(task: ObjectTask) -> dict[str, Any] | None:
         "index": task.index,
         "generator_version": GENERATOR_VERSION,
         "extent": [round(float(side), 6) for side in np.ptp(made.vertices, axis=0)],
-        "volume": float(f"{mesh_volume(made.vertices, made.faces):.6g}"),
+        "volume": float(f"{enclosed_volume(made.vertices, made.faces):.6g}"),
         "vertices": len(made.vertices),
         "faces": len(made.faces),
         "parameters": made.parameters,

@@ -2,7 +2,8 @@
 
 The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Beyond
 `exact_to`, a pair gets the gap between its bounding balls, and a mesh the distance to its convex
-hull: lower bounds, whose constraints are inactive.
+hull: lower bounds, whose constraints are inactive. Depths inside of a mesh are those of one of its
+triangles, or of its hull where that would lead inwards.
 """
 
 from __future__ import annotations
@@ -182,7 +183,12 @@ class BodyDistances:
                 return least, False
         result.clear()
         distance = coal.distance(shape, one, other, two, self._request, result)
-        if mesh is None or not distance > 0:
+        if mesh is None:
+            return distance, False
+        if not distance > 0:
+            if mesh.is_solid and _leads_inwards(mesh, two, result):
+                result.clear()
+                distance = coal.distance(shape, one, mesh.hull, two, self._request, result)
             return distance, False
         point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
         if not mesh.inside(point):
@@ -190,6 +196,16 @@ class BodyDistances:
         # A shape that is wholly inside of a closed mesh does not touch its triangles: its shortest
         # way out is through the nearest one.
         return -distance - self._radii[first], True
+
+
+def _leads_inwards(
+    mesh: CollisionMesh, pose: coal.Transform3s, result: coal.DistanceResult
+) -> bool:
+    """Whether the way out of the triangles leads into the mesh: a triangle has no inside, so the
+    shortest way off it is inwards for a shape that is more than half behind it."""
+    a, b, c = mesh.vertices[mesh.faces[result.b1]]
+    outwards = pose.getRotation() @ np.cross(b - a, c - a)
+    return float(outwards @ result.normal) > 0
 
 
 def _settle_boxes() -> None:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, rigid, rotation_from_wxyz, transform
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.shapes import Shape
@@ -44,7 +45,7 @@ class Obstacle:
         size: [m]: box (x, y, z), cylinder (radius, length along z), sphere (radius,), mesh ().
         pose: [4, 4], in the world.
         vertices: [V, 3], m, of a mesh in its own frame.
-        faces: [F, 3], its triangles.
+        faces: [F, 3], its triangles; turned outwards where they look inwards.
         prepared: The mesh prepared for distances; made where it is needed if None.
     """
 
@@ -67,6 +68,19 @@ class Obstacle:
             raise InputError(f"a {self.kind} of size {self.size}", where=self.name, allowed=allowed)
         if (self.kind == "mesh") == (self.vertices is None or self.faces is None):
             raise InputError("only a mesh, and every mesh, has triangles", where=self.name)
+        if self.vertices is not None and self.faces is not None and self.prepared is None:
+            self._check_triangles(np.asarray(self.vertices), np.asarray(self.faces))
+
+    def _check_triangles(self, vertices: Array, faces: NDArray[np.integer]) -> None:
+        shaped = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3
+        if not (shaped and len(faces) and np.isfinite(vertices).all()):
+            allowed = "finite vertices [V, 3] and faces [F, 3], F ≥ 1"
+            raise InputError("no mesh", where=self.name, allowed=allowed)
+        if not (faces.min() >= 0 and faces.max() < len(vertices)):
+            what, allowed = "a face has no such vertex", f"0 to {len(vertices) - 1}"
+            raise InputError(what, where=self.name, allowed=allowed)
+        if enclosed_volume(vertices, faces) < 0:
+            object.__setattr__(self, "faces", faces[:, ::-1])
 
 
 def obstacle_mesh(obstacle: Obstacle) -> tuple[Array, NDArray[np.int64]]:

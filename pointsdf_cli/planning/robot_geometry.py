@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.inside import Inside
+from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.planning.screen import HandOutline
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.shapes import Shape, bounding_box
@@ -22,6 +23,10 @@ PATCH = 16
 SPACING = 0.006
 """Spacing of the samples [m]. Between samples a finger can be nearer to an object than any of them:
 in executed plans by up to 3.3 mm at 1 cm, 1.7 mm at 6 mm (docs/notebook.md)."""
+
+
+SOLID = 0.5
+"""Share of its convex hull from which a mesh is solid: bins and shelves are not."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,7 @@ class CollisionMesh:
         surface: Its triangles, without an inside.
         hull: Its convex hull, which shows fifty times as fast that something is far.
         inside: Whether a point is inside.
+        is_solid: Whether it fills at least `SOLID` of its hull.
     """
 
     vertices: Array
@@ -61,6 +67,7 @@ class CollisionMesh:
     surface: coal.CollisionGeometry
     hull: coal.CollisionGeometry
     inside: Inside
+    is_solid: bool
 
     @classmethod
     def of(cls, vertices: Array, faces: NDArray[np.integer]) -> CollisionMesh:
@@ -71,7 +78,9 @@ class CollisionMesh:
         surface.addTriangles(np.asarray(faces, dtype=np.int64))
         surface.endModel()
         surface.buildConvexHull(True, "Qt")
-        return cls(vertices, faces, surface, surface.convex, Inside(vertices, faces))
+        hull = surface.convex
+        solid = enclosed_volume(vertices, faces) >= SOLID * hull.computeVolume()
+        return cls(vertices, faces, surface, hull, Inside(vertices, faces), solid)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.scene_file import masked
@@ -41,6 +40,7 @@ from pointsdf_cli.planning.object_choice import (
     reach_of,
 )
 from pointsdf_cli.planning.option_checks import check_segment
+from pointsdf_cli.planning.other_cameras import FirstView
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
@@ -58,9 +58,6 @@ DENSE = 100_000
 
 WIDEST = 0.6
 """Largest level extent [m] of an object that is considered."""
-
-SAME_THING = 0.03
-"""Largest distance [m] between an object's points in another camera and in the first one."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +156,7 @@ def _look(
     others, report = [], []
     labelled: list[tuple[LabelledView, int]] = []
     problem: NoObjectError | None = None
-    first: tuple[Array, Array] | None = None
+    first: FirstView | None = None
     for view in views:
         try:
             item = chosen_object(view, wanted, workspace, first is not None)
@@ -169,12 +166,16 @@ def _look(
             if view.cloud.mask is not None:
                 check_object_cloud(Cloud(found.object_points), f"{view.name}, under its mask")
             in_world = apply_transform(view.T_world_camera, found.object_points)
-            _check_sighting(in_world, first, view.name)
+            if first is None:
+                _check_width(in_world, view.name)
+            else:
+                first.check(in_world, view.name)
         except NoObjectError as error:
             if first is None and wanted is not None and wanted.place is None:
                 raise  # a number or a pixel says nothing about other cameras
             problem = problem or error
             # Objects that this camera saw remain obstacles.
+            view = view if first is None else first.without_target(view)
             said, beside = "the object is not seen", view.world[view.objects.label >= 0]
             labelled.append((view, -1))
         else:
@@ -183,8 +184,9 @@ def _look(
             labelled.append((view, item.label))
             seen.append(view_of(view, found))
             if first is None:
-                first = in_world, beside
-                wanted = TargetChoice(place=np.median(in_world, axis=0))
+                first = FirstView(in_world, beside)
+                if wanted is None or wanted.place is None:
+                    wanted = TargetChoice(place=np.median(in_world, axis=0))
         report.append(f"{view.name}: {said}")
         others.append(beside)
     if problem is not None and not seen:
@@ -193,32 +195,16 @@ def _look(
     return TableTop(tuple(seen), np.concatenate(others), tuple(report), height, tuple(labelled))
 
 
-def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: str) -> None:
-    """Require a graspable object of the first camera, and the same object of the others, where a
-    neighbour may stand before it.
-
-    Args:
-        in_world: [N, 3], this camera's points of the supposed object, world, m.
-        first: Points of the object [M, 3] and of other objects [K, 3] in the first camera; None
-            for that camera itself.
-        name: Name of the cloud.
+def _check_width(in_world: Array, name: str) -> None:
+    """Require points [N, 3] (world, m) of an object that a hand may reach around.
 
     Raises:
-        NoObjectError: It is too wide, or another object.
+        NoObjectError: It is too wide.
     """
-    if first is None:
-        if (width := level_width(in_world)) <= WIDEST:
-            return
+    if (width := level_width(in_world)) > WIDEST:
         wide = f"what is seen there is {width:.2f} m wide or more in every direction"
         hint = "--target names another object, --mask a part of it"
         raise NoObjectError(f"{wide}: no hand reaches around that", where=name, hint=hint)
-    to_object, to_others = (
-        float(scipy.spatial.cKDTree(seen).query(in_world)[0].min()) if len(seen) else np.inf
-        for seen in first
-    )
-    if to_object > min(SAME_THING, to_others):
-        away = f"what is nearest to the object is {to_object:.2f} m away from it"
-        raise NoObjectError(away, where=name)
 
 
 def table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
