@@ -34,6 +34,11 @@ class Inside:
         self._seen_to = self._corners[..., :2].max(axis=1).T.copy()
         self._low, self._high = vertices.min(axis=0), vertices.max(axis=0)
 
+    @property
+    def is_convex(self) -> bool:
+        """Whether the mesh is known to be convex; large ones never are."""
+        return self._planes is not None
+
     def __call__(self, point: Array) -> bool:
         """Whether a point [3] is inside; on the surface either may be said."""
         if (point < self._low).any() or (point > self._high).any():

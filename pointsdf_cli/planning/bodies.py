@@ -2,8 +2,8 @@
 
 The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Beyond
 `exact_to`, a pair gets the gap between its bounding balls, and a mesh the distance to its convex
-hull: lower bounds, whose constraints are inactive. Depths inside of a mesh are those of one of its
-triangles, or of its hull where that would lead inwards.
+hull: lower bounds, whose constraints are inactive. The depth inside of a solid mesh is that behind
+one of its triangles, or that in its hull where the way off the triangle does not lead out.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import Body, CollisionMesh, RobotGeometry, link_body
 from pointsdf_cli.robot.shapes import Shape
+
+OUTWARDS = 0.5
+"""Cosine to a face's normal from which a direction leads out of the mesh."""
 
 
 class BodyDistances:
@@ -179,33 +182,33 @@ class BodyDistances:
         if mesh is not None:
             result.clear()
             least = coal.distance(shape, one, mesh.hull, two, self._request, result)
-            if least > self.exact_to:
+            if least > self.exact_to or mesh.inside.is_convex:
                 return least, False
         result.clear()
         distance = coal.distance(shape, one, other, two, self._request, result)
         if mesh is None:
             return distance, False
-        if not distance > 0:
-            if mesh.is_solid and _leads_inwards(mesh, two, result):
-                result.clear()
-                distance = coal.distance(shape, one, mesh.hull, two, self._request, result)
-            return distance, False
         point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
-        if not mesh.inside(point):
+        overlaps = not distance > 0
+        if not overlaps and not mesh.inside(point):
+            return distance, False
+        if mesh.is_solid and not (overlaps and _leads_out(mesh, two, result)):
+            result.clear()
+            return coal.distance(shape, one, mesh.hull, two, self._request, result), False
+        if overlaps:
             return distance, False
         # A shape that is wholly inside of a closed mesh does not touch its triangles: its shortest
         # way out is through the nearest one.
         return -distance - self._radii[first], True
 
 
-def _leads_inwards(
-    mesh: CollisionMesh, pose: coal.Transform3s, result: coal.DistanceResult
-) -> bool:
-    """Whether the way out of the triangles leads into the mesh: a triangle has no inside, so the
-    shortest way off it is inwards for a shape that is more than half behind it."""
+def _leads_out(mesh: CollisionMesh, pose: coal.Transform3s, result: coal.DistanceResult) -> bool:
+    """Whether the way off a triangle leads out of the mesh. The shortest one may lead inwards or
+    along the surface: a triangle has no inside."""
     a, b, c = mesh.vertices[mesh.faces[result.b1]]
-    outwards = pose.getRotation() @ np.cross(b - a, c - a)
-    return float(outwards @ result.normal) > 0
+    outwards = np.cross(b - a, c - a)
+    steepness = -result.normal @ pose.getRotation() @ outwards
+    return bool(steepness > OUTWARDS * np.linalg.norm(outwards))
 
 
 def _settle_boxes() -> None:
