@@ -157,15 +157,10 @@ def test_depths_in_a_solid_mesh_lead_outwards(robot, kinematics, geometry) -> No
     assert np.median(np.abs(two - one)[deep]) < 0.01
 
 
-def test_a_mesh_with_inward_faces_is_turned_outwards(robot, kinematics, geometry) -> None:
-    poses = link_poses(kinematics, draw(robot, 8, seed=2))
+def test_a_mesh_with_inward_faces_is_turned_outwards() -> None:
     outward = mesh_box("a", (0.2, 0.3, 0.1), (0.45, 0.1, 0.5))
     inward = replace(outward, faces=outward.faces[:, ::-1])
-    one, two = (
-        BodyDistances(geometry, Environment((each,), table=False))(poses).distance
-        for each in (outward, inward)
-    )
-    np.testing.assert_allclose(two, one, atol=1e-9)
+    np.testing.assert_array_equal(inward.faces, outward.faces)
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,13 @@ from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.cloud_checks import in_world
 from pointsdf_cli.planning.environment import Environment, Obstacle, obstacle_mesh, read_environment
 from pointsdf_cli.planning.object_choice import TargetChoice
+from pointsdf_cli.planning.other_cameras import FirstView
 from pointsdf_cli.planning.plan_on_table import plan_on_table
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.plausibility import table_doubt
 from pointsdf_cli.planning.seen_obstacles import hulls
 from pointsdf_cli.planning.table_top import (
     NoObjectError,
-    _check_sighting,
     look_at_table,
     table_height,
     workspace_of,
@@ -304,6 +304,36 @@ def test_a_camera_that_does_not_see_the_object_does_not_move_the_table() -> None
 
 def test_another_cameras_object_is_the_same_if_nothing_else_is_nearer() -> None:
     here, there = np.zeros((1, 3)), np.array([[0.02, 0.0, 0.0]])
-    _check_sighting(here, (there, np.zeros((0, 3))), "b")
+    FirstView(there, np.zeros((0, 3))).check(here, "b")
     with pytest.raises(NoObjectError):
-        _check_sighting(here, (there, np.array([[0.01, 0.0, 0.0]])), "b")
+        FirstView(there, np.array([[0.01, 0.0, 0.0]])).check(here, "b")
+
+
+TWINS = [(0.6, y, 0.05) for y in (-0.055, 0.055)]
+"""Two boxes 8 cm wide with 3 cm between them."""
+BETWEEN = sheet((0.6, 0.0, 0.05), (0.04, 0.015, 0.0))
+"""A bridge that makes them one group, as flying pixels do."""
+
+
+def test_a_place_is_meant_in_every_camera() -> None:
+    """The first camera sees two things as one; the middle of that is not what was asked for."""
+    apart = np.concatenate([TABLE, *(sheet(place, (0.04, 0.04, 0.05)) for place in TWINS)])
+    merged = np.concatenate([apart, BETWEEN])
+    for place in TWINS:
+        target = np.array(place) + [0.0, 0.01 * np.sign(place[1]), 0.04]
+        seen = look_at_table([cloud(merged), cloud(apart)], ["a", "b"], ROBOT, HOME, target=target)
+        np.testing.assert_allclose(seen.views[1].in_world.mean(axis=0)[:2], place[:2], atol=0.01)
+
+
+def test_a_group_that_joins_the_object_to_another_is_no_obstacle_there() -> None:
+    apart = np.concatenate([TABLE, *(sheet(place, (0.04, 0.04, 0.05)) for place in TWINS)])
+    merged = np.concatenate([apart, BETWEEN])
+    target = np.array(TWINS[0])
+    seen = look_at_table([cloud(apart), cloud(merged)], ["a", "b"], ROBOT, HOME, target=target)
+    assert len(seen.views) == 1
+    assert "b: the object is not seen" in seen.report[1]
+    view, label = seen.labelled[1]
+    assert label == -1
+    left = view.world[view.objects.label >= 0]
+    assert left[:, 1].min() > -0.001
+    np.testing.assert_allclose(left.max(axis=0), np.array(TWINS[1]) + [0.04, 0.04, 0.05], atol=0.01)
