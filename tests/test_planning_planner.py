@@ -168,6 +168,10 @@ def test_fingers_that_would_meet_an_obstacle_are_a_reason(planner: Planner) -> N
     best, _, rest = planner._with_motion(checker, fallback, planner.robot.home, 0)
     assert best is poor
     assert "4 mm" in rest.sentence
+    # Rejected candidates are the others.
+    rejected = replace(fallback, rejected=[*found.rejected, poor])
+    _, _, rest = planner._with_motion(checker, rejected, planner.robot.home, 0)
+    assert not any(one is poor for one in rest.rejected)
     assert "obstacle" in rest.sentence
 
 

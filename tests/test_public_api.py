@@ -16,6 +16,7 @@ import pointsdf_cli
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.planning.grasp_problem import Clearances
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -112,6 +113,14 @@ def test_a_shape_keeps_its_pose() -> None:
         shape.sdf([np.nan, 0, 0])
 
 
+def _view(cloud: pointsdf_cli.Cloud) -> tuple[np.ndarray, np.ndarray]:
+    """Points of one object of the bundled table, camera frame, and the camera's pose."""
+    points, _ = cloud.in_camera_frame()
+    pose = np.array(cloud.T_world_camera)
+    world = apply_transform(pose, points)
+    return points[world[:, 2] > 0.02][:2000], pose
+
+
 def test_what_cannot_be_planned_is_told_before_it_is_tried() -> None:
     cloud = pointsdf_cli.read_cloud(asset_path("clouds/table.ply"))
     planner = pointsdf_cli.GraspPlanner()
@@ -127,6 +136,7 @@ def test_what_cannot_be_planned_is_told_before_it_is_tried() -> None:
         ("lists", {"clouds": cloud}),
         ("lists", {"names": "table"}),
         ("a name for each", {"clouds": []}),
+        ("two corners", {"workspace": (1, 2)}),
         ("seed", {"seed": -1}),
         ("seed", {"seed": None}),
         ("reconstruction, hull", {"obstacles": "boxes"}),
@@ -137,6 +147,20 @@ def test_what_cannot_be_planned_is_told_before_it_is_tried() -> None:
             plan(**wrong)
     with pytest.raises(InputError, match="one or more"):
         planner.plan([])
+    seen = pointsdf_cli.View(*_view(cloud))
+    with pytest.raises(InputError, match="no field 'reconstruction'"):
+        planner.plan([seen], field="reconstruction")
+    with pytest.raises(InputError, match="no device 'foo'"):
+        pointsdf_cli.GraspPlanner(pointsdf_cli.PlanOptions(device="foo"))
+    with pytest.raises(InputError, match="not on this machine"):
+        pointsdf_cli.GraspPlanner(pointsdf_cli.PlanOptions(device="cuda:99"))
+    for number in (1.5, True, "2"):
+        with pytest.raises(InputError, match="a number in the list"):
+            pointsdf_cli.TargetChoice(number=number)
+    with pytest.raises(InputError, match="0 m or more"):
+        Clearances(environment=np.nan)
+    with pytest.raises(InputError, match="finite"):
+        pointsdf_cli.Environment(table_height=np.nan)
     with pytest.raises(InputError, match="one choice"):
         pointsdf_cli.TargetChoice()
     for size, pose in (((np.nan, 1, 1), np.eye(4)), ((1, 1, 1), np.eye(3)), ((1, 1), np.eye(4))):

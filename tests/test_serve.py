@@ -116,6 +116,10 @@ def test_a_served_plan_is_the_commands_to_the_bit(
     refused = post(server, "/score", cloud_body(TABLE, q=plan.q[None], start=[0.0, 0.1]))
     assert refused.status_code == 400
     assert "start" in refused.text
+    in_degrees = np.stack([plan.q, np.rad2deg(plan.q)])
+    refused = post(server, "/score", cloud_body(TABLE, q=in_degrees))
+    assert refused.status_code == 400
+    assert "grasp 1: lbr4_joint_" in refused.text
 
 
 def test_the_client_on_the_page_gets_a_plan(server: Server, tmp_path: Path) -> None:

@@ -322,19 +322,10 @@ def check_picture(path: Path | None, force: bool) -> None:
 
 
 def torch_device(name: str) -> str:
-    """Check that torch can compute on the device `name`, and return it.
-
-    Raises:
-        InputError: It is not on this machine.
-    """
+    """As `processor.usable_device`; torch is imported for other devices than the processor only."""
     if name == "cpu":
         return name
 
-    import torch
+    from pointsdf_cli.models.processor import usable_device
 
-    device = torch.device(name)
-    if device.type == "cuda" and (device.index or 0) >= (count := torch.cuda.device_count()):
-        what = f"{name} is not on this machine ({count} CUDA devices)"
-        allowed = ", ".join(["cpu", *(f"cuda:{k}" for k in range(count))])
-        raise InputError(what, where="--device", allowed=allowed)
-    return name
+    return usable_device(name)

@@ -18,6 +18,8 @@ import torch
 from threadpoolctl import ThreadpoolController, threadpool_limits
 from torch import Tensor
 
+from pointsdf_cli.errors import InputError
+
 T = TypeVar("T")
 
 
@@ -55,6 +57,23 @@ def return_freed_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
+
+
+def usable_device(name: str) -> str:
+    """Check that PyTorch can compute on the device `name`, and return it.
+
+    Raises:
+        InputError: It is none, or not on this machine.
+    """
+    allowed = ", ".join(["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))])
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise InputError(f"no device {name!r}", where="--device", allowed=allowed) from error
+    if device.type != "cpu" and f"{device.type}:{device.index or 0}" not in allowed:
+        what = f"{name} is not on this machine ({torch.cuda.device_count()} CUDA devices)"
+        raise InputError(what, where="--device", allowed=allowed)
+    return name
 
 
 def settle_thread() -> None:

@@ -106,6 +106,9 @@ class Environment:
     table_height: float = 0.0
 
     def __post_init__(self) -> None:
+        if not math.isfinite(self.table_height):
+            what = f"a table at the height {self.table_height} m"
+            raise InputError(what, where="table_height", allowed="a finite number")
         names = [obstacle.name for obstacle in self.obstacles]
         if len(set(names)) != len(names) or "table" in names:
             wrong = "two obstacles share a name, or one is named table"

@@ -28,7 +28,7 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.checkpoint_kinds import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.models.processor import lap, timed
+from pointsdf_cli.models.processor import lap, timed, usable_device
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -102,13 +102,14 @@ class GraspPlanner:
         shape: The reconstruction network; None in partial-view grasping.
 
     Raises:
-        InputError: The robot or a checkpoint cannot be used.
+        InputError: The robot, a checkpoint or the device cannot be used.
     """
 
     def __init__(
         self, options: PlanOptions | None = None, grasps: SuccessModel | None = None
     ) -> None:
         self.options = options = options or PlanOptions()
+        usable_device(options.device)
         self.robot = load_robot(options.robot)
         self.planner = Planner(self.robot, options.planner)
         self.shape: ShapeModel | None = None
@@ -146,7 +147,7 @@ class GraspPlanner:
                 keeps the hand out of the unseen space below it (`support.py`).
 
         Raises:
-            InputError: No view.
+            InputError: No view, or a field that is none.
             EmptyFieldError: The network sees nothing solid.
         """
         if isinstance(views, View) or not len(views):
@@ -166,8 +167,11 @@ class GraspPlanner:
             first = views[0]
             grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
         with lap(timings, "surface"):
-            if isinstance(field, str):
+            if field == "none":
                 constraint = absent_object(world)
+            elif isinstance(field, str):
+                allowed = 'a field, "none" for no constraint, or None for the method\'s own field'
+                raise InputError(f"no field {field!r}", where="field", allowed=allowed)
             elif field is not None:
                 constraint = given_object(field, world, grid)
             elif made:

@@ -49,8 +49,8 @@ class Clearances:
     self: float = 0.001
 
     def __post_init__(self) -> None:
-        if min(self.object, self.environment, self.self) < 0:
-            raise InputError("a clearance is negative", where="--clearance", allowed="0 m or more")
+        if not all(0 <= each < np.inf for each in vars(self).values()):  # False for NaN
+            raise InputError(f"{self}", where="--clearance", allowed="0 m or more")
 
     def of_bodies(self, is_self: NDArray[np.bool_]) -> Array:
         """Clearance [M] of distances between bodies, m; `is_self` [M] marks the robot's own."""

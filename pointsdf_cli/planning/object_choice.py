@@ -58,6 +58,11 @@ class TargetChoice:
         if sum(each is not None for each in given) != 1:
             allowed = "number, pixel, place or any"
             raise InputError("not one choice", where="TargetChoice", allowed=allowed)
+        number = self.number
+        is_whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+        if number is not None and not is_whole:
+            what, allowed = f"no object {number!r}", "a number in the list of objects, from 1"
+            raise InputError(what, where="target", allowed=allowed)
         for numbers, count in ((self.pixel, 2), (self.place, 3)):
             if numbers is not None and not _are_finite(numbers, count):
                 others = "TargetChoice(number=…, pixel=(u, v), any=True)"

@@ -93,7 +93,8 @@ class PlannerConfig:
 
     def __post_init__(self) -> None:
         require_choice(self.solver, choices.Solver, "--solver")
-        check_distance("clearance", max(vars(self.clearances).values()))
+        for clearance in vars(self.clearances).values():
+            check_distance("clearance", clearance)
         check_distance("margin", self.margin)
 
 
@@ -273,9 +274,9 @@ STUCK = (
 
 def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int]) -> Synthesis:
     """The result with best[k] chosen, with a warning if it is poor, and those before rejected."""
-    passed = _passed(best[:k], stuck)
+    rejected = [one for one in found.rejected if one is not best[k]] + _passed(best[:k], stuck)
     sentence = warning(best[k], found.seeds_tried) if best[k].reason else ""
-    found = replace(found, accepted=found.accepted[k:], rejected=found.rejected + passed)
+    found = replace(found, accepted=found.accepted[k:], rejected=rejected)
     return replace(found, best=best[k], reason="", sentence=sentence)
 
 

@@ -46,10 +46,18 @@ from pointsdf_cli.robot.own_points import off_robot, robot_points
 
 
 def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) -> SegmentationConfig:
-    """Workspace: the box between two corners [3] of the world, m; the default if None."""
+    """Workspace: the box between two corners [3] of the world, m; the default if None.
+
+    Raises:
+        InputError: Not two corners.
+    """
     if corners is None:
         return WORKSPACE
-    (x0, y0, z0), (x1, y1, z1) = corners
+    try:
+        (x0, y0, z0), (x1, y1, z1) = np.array(corners, dtype=np.float64).tolist()
+    except (TypeError, ValueError) as error:
+        allowed = "two corners (x, y, z) in the world [m]"
+        raise InputError(f"{corners!r}", where="workspace", allowed=allowed) from error
     return replace(WORKSPACE, low=(x0, y0, z0), high=(x1, y1, z1))
 
 

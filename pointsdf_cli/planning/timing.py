@@ -2,9 +2,9 @@
 
 The path is a polyline and is kept exactly: the result only adds points on it and times. Let τ be
 the time that the path would take with the fastest joint always at its limit. The speed u = dτ/dt is
-at most 1 and changes by at most 1/`RAMP` per second. It is zero at corners, where the exported
-velocities are, and so low at slighter bends that a cubic interpolation needs no larger acceleration
-there than on a ramp.
+at most `CRUISE` and changes by at most 1/`RAMP` per second. It is zero at corners, where the
+exported velocities are, and so low at slighter bends that a cubic interpolation needs hardly a
+larger acceleration there than on a ramp.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from pointsdf_cli.io.motion_file import is_corner
 
 RAMP = 0.5
 """Time from rest to full speed [s]."""
+CRUISE = 0.985
+"""Share of full speed that is used: between points a cubic interpolation is up to 1.2% faster."""
 STEP = 0.05
 """Longest piece of the path between two points of the result, as time at full speed [s]."""
 
@@ -62,9 +64,10 @@ def time_path(path: Array, velocity: Array, speed: float = 0.5) -> Trajectory:
         if not corners[i]:
             change = np.abs(legs[i + 1] / full[i + 1] - leg / full[i]) / limit
             gap = (full[i : i + 2] / pieces[i : i + 2]).min()
-            # A cubic over a piece of duration gap / u turns by half the change: 2 u² change / gap.
-            corner = min(1.0, np.sqrt(gap / (2 * RAMP * max(float(change.max()), 1e-12))))
-        top.append(np.concatenate([np.ones(count - 1), [corner]]))
+            # A cubic over a piece of duration gap / u turns by half the change: 2 u² change / gap,
+            # and by a quarter more where the pieces differ.
+            corner = min(CRUISE, np.sqrt(gap / (2.5 * RAMP * max(float(change.max()), 1e-12))))
+        top.append(np.append(np.full(count - 1, CRUISE), corner))
     positions, gap = np.concatenate(points), np.concatenate(tau)[1:]
     positions[-1] = path[-1]
     rate = np.concatenate(top)
