@@ -166,9 +166,10 @@ def test_a_mesh_with_inward_faces_is_turned_outwards() -> None:
 @pytest.mark.parametrize(
     ("vertices", "faces", "said"),
     [
-        ([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], "finite"),
+        ([[0, 0, 0], [1, 0, 0], [0, np.nan, 1]], [[0, 1, 2]], "finite"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 3]], "0 to 2"),
         ([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], "no mesh"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], "a flat mesh"),
     ],
 )
 def test_an_obstacle_without_a_sound_mesh_is_refused(vertices, faces, said: str) -> None:

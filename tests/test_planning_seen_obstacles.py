@@ -44,6 +44,16 @@ def test_a_hull_encloses_its_points_and_reaches_down_to_the_table() -> None:
     assert floating.vertices[:, 2].min() == pytest.approx(0.13)
 
 
+@pytest.mark.parametrize("sides", [(0.05, 0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0)])
+def test_flat_groups_are_thick_enough_for_distances(sides: tuple[float, ...]) -> None:
+    """One side of a box, exactly seen, is flat; coal crashed on its hull."""
+    points = np.random.default_rng(0).random((400, 3)) * sides + [0.6, 0.1, 0.1]
+    (sheet,) = hulls(points, to_table=False)
+    assert np.ptp(sheet.vertices, axis=0) == pytest.approx(np.array(sides) + 0.001, abs=0.0025)
+    assert sheet.hull.computeVolume() > 1e-10
+    assert sheet.is_solid
+
+
 def test_seen_things_take_no_name_that_an_obstacle_has() -> None:
     top = TableTop((), block((0.6, 0.0, 0.05), 0.03), (), 0.0)
     (one,), _ = seen_obstacles(top, None)

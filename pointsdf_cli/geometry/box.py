@@ -22,6 +22,13 @@ def strictly_inside(points: ArrayLike, low: ArrayLike, high: ArrayLike) -> Mask:
     return inside
 
 
+def thin_directions(points: Array, least: float) -> Array:
+    """Principal directions [K, 3], K ≤ 3, along which points [N, 3] span less than `least` [m]."""
+    centred = points - points.mean(axis=0)
+    directions = np.linalg.eigh(centred.T @ centred)[1].T
+    return np.asarray(directions[np.ptp(centred @ directions.T, axis=0) < least])
+
+
 def level_width(points: Array) -> float:
     """Least width [m] of points [N, 3] of the world over all level directions."""
     angle = np.linspace(0, np.pi, 18, endpoint=False)

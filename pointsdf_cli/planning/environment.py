@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.box import thin_directions
 from pointsdf_cli.geometry.frames import apply_transform, rigid, rotation_from_wxyz, transform
 from pointsdf_cli.geometry.volume import enclosed_volume
 from pointsdf_cli.io.meshes import load_body
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 SHAPES = (*SIZES, "mesh")
+FLAT = 1e-5
+"""Thickness [m] below which a mesh is flat: collision libraries crash on those."""
 KEYS = ("name", *SHAPES, "scale", "xyz", "wxyz")
 
 
@@ -79,6 +82,8 @@ class Obstacle:
         if not (faces.min() >= 0 and faces.max() < len(vertices)):
             what, allowed = "a face has no such vertex", f"0 to {len(vertices) - 1}"
             raise InputError(what, where=self.name, allowed=allowed)
+        if len(thin_directions(vertices[np.unique(faces)], FLAT)):
+            raise InputError("a flat mesh", where=self.name, allowed="one that encloses a volume")
         if enclosed_volume(vertices, faces) < 0:
             object.__setattr__(self, "faces", faces[:, ::-1])
 

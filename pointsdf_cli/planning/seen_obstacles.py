@@ -18,7 +18,7 @@ from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array, Surface
-from pointsdf_cli.geometry.box import level_width
+from pointsdf_cli.geometry.box import level_width, thin_directions
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
@@ -58,6 +58,9 @@ SMALLEST = 12
 """Number of points, one a voxel, from which a group of them is an obstacle: a die 2 cm wide has 23
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
+
+LEAST_THICKNESS = 0.001
+"""Thickness [m] that flat groups of points are given."""
 
 Found = tuple[list[CollisionMesh], float]
 """Meshes of objects, and how long they took [s]."""
@@ -185,10 +188,12 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
     for k in np.flatnonzero(counts >= fewest):
         cluster = points[label == k]
         foot = cluster[: len(cluster) * to_table] * [1.0, 1.0, 0.0]
-        try:
-            hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
-        except scipy.spatial.QhullError:  # a sheet on edge, seen as a line
-            continue
+        corners = np.concatenate([cluster, foot])
+        # A plane side of a box may be all that is seen of a part; coal crashes on flat hulls.
+        for across in thin_directions(corners, LEAST_THICKNESS):
+            shift = LEAST_THICKNESS / 2 * across
+            corners = np.concatenate([corners - shift, corners + shift])
+        hull = trimesh.convex.convex_hull(corners)
         vertices, faces = np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32)
         found.append(CollisionMesh.of(vertices, faces))
     return found
