@@ -22,7 +22,7 @@ it."""
 
 @dataclass(frozen=True)
 class FirstView:
-    """What the first camera saw, world frame, m.
+    """Points that the first camera saw, world frame, m.
 
     Attributes:
         target: [M, 3], points of the object.
