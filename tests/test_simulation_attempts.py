@@ -270,6 +270,35 @@ def test_collection_resumes_to_what_an_uninterrupted_one_makes(
         collect_object(replace(whole, seed=3))
 
 
+def test_a_killed_collection_keeps_its_attempts(
+    task: CollectTask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, meta = collected(task)
+    assert len(whole) > 3
+    part = replace(task, out=tmp_path / "part.h5")
+    honest, killed_at = Attempter.attempt, [3]
+    made: list[int] = []
+
+    def killed(self: Attempter, item: SimObject, index: int) -> Attempt:
+        if index in killed_at:
+            raise KeyboardInterrupt
+        made.append(index)
+        return honest(self, item, index)
+
+    monkeypatch.setattr("pointsdf_cli.simulation.collect.ATTEMPTS_A_WRITE", 2, raising=False)
+    monkeypatch.setattr(Attempter, "attempt", killed)
+    with pytest.raises(KeyboardInterrupt):
+        collect_object(part)
+    kept, there = read_grasps(part.out)
+    assert (len(kept), there.complete) == (2, False)
+    killed_at.clear()
+    resumed, there = collected(part)
+    assert made == [0, 1, 2, *range(2, len(whole))]
+    assert there == meta
+    assert_same_grasps(resumed, whole)
+    assert collect_object(part) is None
+
+
 def test_a_mesh_in_millimetres_is_the_same_object(task: CollectTask, tmp_path: Path) -> None:
     metres, _ = collected(replace(task, quota=1))
     can = trimesh.creation.cylinder(30, 150)

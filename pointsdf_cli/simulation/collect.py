@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,13 +27,16 @@ from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete
 from pointsdf_cli.io.meshes import load_mesh, named_artifacts
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import load_robot, robot_digest
-from pointsdf_cli.simulation.attempt import AttemptConfig, PreshapeSource, as_grasps
+from pointsdf_cli.simulation.attempt import Attempt, AttemptConfig, PreshapeSource, as_grasps
 from pointsdf_cli.simulation.attempter import Attempter
-from pointsdf_cli.simulation.sim_object import prepare_object
+from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 
 TRAIN, TEST = "train", "test"
 TEST_SHARE = 0.2
 """Share of the objects that is held out. (The paper holds out 1821 of 9111 grasps.)"""
+ATTEMPTS_A_WRITE = 20
+"""Number of attempts with one object that a killed run may lose, or a twentieth of them if that is
+more: the whole file is written each time."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,8 @@ class CollectTask:
 def collect_object(task: CollectTask) -> dict[str, int] | None:
     """Make attempts with one object until its quota is met or its patience ends.
 
-    An existing file is continued. An object without a further view counts as exhausted.
+    An existing file is continued. It is written now and then, for the case of a kill. An object
+    without a further view counts as exhausted.
 
     Returns:
         Number of new attempts by cause; None if nothing was left to do.
@@ -87,31 +92,16 @@ def collect_object(task: CollectTask) -> dict[str, int] | None:
     torch.set_num_threads(1)
     config = _options_of(task)
     done: Grasps | None = None
-    index = executed = 0
+    complete, index, executed = False, 0, 0
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
-        done, _ = read_grasps(task.out)
-        index, executed = len(done), int(done.executed.sum())
-        if not task.goes_on(index, executed):
+        done, there = read_grasps(task.out)
+        complete, index, executed = there.complete, len(done), int(done.executed.sum())
+        if complete and not task.goes_on(index, executed):
             return None
     mesh = load_mesh(task.mesh, task.unit)
     item = prepare_object(replace(mesh, name=task.name))
     attempter = _attempter(task.robot, task.config, task.seed, task.source)
     attempter.check(item)
-    attempts = []
-    while task.goes_on(index, executed):
-        try:
-            attempt = attempter.attempt(item, index)
-        except InputError:
-            if not index:
-                raise
-            break
-        attempts.append(attempt)
-        executed += attempt.label >= 0
-        index += 1
-    if not attempts:
-        return None
-    made = as_grasps(attempts)
-    grasps = made if done is None else join_grasps([done, made])
     robot = attempter.robot
     meta = GraspsMeta(
         task.mesh.name,
@@ -121,8 +111,45 @@ def collect_object(task: CollectTask) -> dict[str, int] | None:
         robot.joint_names,
         robot.preshape_joints,
     )
-    write_grasps(task.out, grasps, meta, seed=task.seed, config=config)
-    return made.count()
+    causes: Counter[str] = Counter()
+    while True:
+        most = max(ATTEMPTS_A_WRITE, index // 20)
+        attempts = _some_attempts(task, attempter, item, index, executed, most)
+        if attempts:
+            made = as_grasps(attempts)
+            done = made if done is None else join_grasps([done, made])
+            index, executed = len(done), int(done.executed.sum())
+            causes.update(made.count())
+        elif complete or done is None:
+            break
+        complete = len(attempts) < most
+        told = replace(meta, complete=complete)
+        write_grasps(task.out, done, told, seed=task.seed, config=config)
+        if complete:
+            break
+    return dict(causes) or None
+
+
+def _some_attempts(
+    task: CollectTask, attempter: Attempter, item: SimObject, index: int, executed: int, most: int
+) -> list[Attempt]:
+    """The next attempts, `most` of them or fewer where no more are wanted or possible.
+
+    Raises:
+        InputError: The first attempt is not possible.
+    """
+    attempts: list[Attempt] = []
+    while len(attempts) < most and task.goes_on(index, executed):
+        try:
+            attempt = attempter.attempt(item, index)
+        except InputError:
+            if not index:
+                raise
+            break
+        attempts.append(attempt)
+        executed += attempt.label >= 0
+        index += 1
+    return attempts
 
 
 def require_same_options(tasks: Iterable[CollectTask]) -> None:
