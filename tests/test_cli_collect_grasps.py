@@ -143,6 +143,22 @@ def test_a_shard_of_nothing_but_refused_meshes_is_done(
     assert list(result["refused"]) == ["crate"]
 
 
+def test_too_few_grasps_are_said_even_when_quiet(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    for k in range(2):  # the can is the one that is held out
+        trimesh.creation.box((0.3, 0.3, 0.3)).export(meshes / f"crate{k}.ply")
+    run = ("collect-grasps", "--meshes", meshes, "--jobs", 1, "--no-pictures", "-q", "--json")
+    done = cli(*run, "--out", tmp_path / "g", "--count", 5, "--seed", 0)
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    assert result["missing"] == {"train": 4, "test": 0}
+    assert result["executed"] == 1
+    assert done.err.count("\n") == 1
+    assert "warning: --count is not met: executed grasps are missing, 4 for train" in done.err
+    assert "3 meshes skipped, such as crate: is too large" in done.err
+
+
 def test_a_robot_that_the_simulator_cannot_load_is_said_first(
     cli: Callable[..., Any], meshes: Path, tmp_path: Path
 ) -> None:

@@ -115,16 +115,19 @@ def collect_grasps(
     started = time.monotonic()
     # Otherwise another run's grasps of objects that this count does not reach would count, too.
     require_same_options(task for task in tasks.values() if not task.quota)
-    items, refused = _collect(tasks, every, jobs, reporter, whole=shard is None)
+    items, refused, missing = _collect(tasks, every, jobs, reporter, whole=shard is None)
     if refused and not items and shard is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
     strips, page = _films(items, tasks, machine, out, record, pictures), out / "report.html"
     title = f"rgrasp grasps: {out.name}"
     write_text_atomic(page, grasp_report(items, sorted(refused.items()), strips, title))
-    values = {"out": out, "objects": len(items), "refused": refused, **_counts(items, push > 0)}
+    values = {"out": out, "objects": len(items), "refused": refused, "missing": missing}
+    values |= _counts(items, push > 0)
     seconds = round(time.monotonic() - started, 3)
     reporter.result({**values, "report": page, "seconds": seconds}, [_line(values), f"{page}"])
+    if any(missing.values()):
+        reporter.warn(_shortfall(missing, refused, shard is None))
 
 
 def _counts(items: list[tuple[str, Grasps, GraspsMeta]], pushed: bool) -> dict[str, int]:
@@ -151,25 +154,43 @@ def _line(made: dict[str, Any]) -> str:
     )
 
 
+def _shortfall(missing: dict[str, int], refused: dict[str, str], whole: bool) -> str:
+    """A sentence on the executed grasps that splits lack, with a reason and a remedy."""
+    splits = " and ".join(f"{n} for {split}" for split, n in missing.items() if n)
+    skipped = ""
+    if refused:
+        name, reason = min(refused.items())
+        skipped = f" ({len(refused)} meshes skipped, such as {name}: {reason})"
+    remedy = "add meshes that the hand can grasp" if whole else "run once more without --shard"
+    return f"--count is not met: executed grasps are missing, {splits}{skipped}; {remedy}"
+
+
+def _read(task: CollectTask) -> tuple[Grasps, GraspsMeta]:
+    """Stored attempts without what was seen: no report needs it, and it would fill the memory."""
+    from pointsdf_cli.io.grasps import read_grasps
+
+    grasps, meta = read_grasps(task.out)
+    return replace(grasps, cloud=grasps.cloud[:, :0].copy(), evidence=()), meta
+
+
 def _collect(
     tasks: dict[str, CollectTask],
     every: dict[str, CollectTask],
     jobs: int,
     reporter: common.Reporter,
     whole: bool,
-) -> tuple[list[tuple[str, Grasps, GraspsMeta]], dict[str, str]]:
-    """Run rounds until every quota is met or exhausted; returns the grasps of each object, and
-    the reasons of refused files.
+) -> tuple[list[tuple[str, Grasps, GraspsMeta]], dict[str, str], dict[str, int]]:
+    """Run rounds until every quota is met or exhausted; returns the grasps of each object, the
+    reasons of refused files, and the number of executed grasps that each split lacks.
 
     `tasks`, a shard of `every`, receive their final quotas. Without `whole` only the first round
     runs: later rounds redistribute quotas, which takes the results of all objects.
     """
-    from pointsdf_cli.io.grasps import read_grasps
-    from pointsdf_cli.simulation.collect import collect_object, next_quotas, wanted_of
+    from pointsdf_cli.simulation.collect import collect_object, missing_of, next_quotas, wanted_of
 
     splits = {name: task.split for name, task in every.items()}
     quotas = {name: task.quota for name, task in every.items()}
-    wanted = wanted_of(splits, quotas)
+    wanted = wanted_of(splits, {name: quotas[name] for name in tasks})
     refused: dict[str, str] = {}
     while True:
         rates = _Rates(reporter)
@@ -180,11 +201,12 @@ def _collect(
         for name, error in report.refused:
             refused[name] = error.what
             reporter.say(f"skipped: {error.message}")
-        there = {n: t.out for n, t in tasks.items() if n not in refused and t.out.is_file()}
-        executed = {name: int(read_grasps(out)[0].executed.sum()) for name, out in there.items()}
+        there = [n for n, t in tasks.items() if n not in refused and t.out.is_file()]
+        items = [(name, *_read(tasks[name])) for name in there]
+        executed = {name: int(grasps.executed.sum()) for name, grasps, _ in items}
         more = next_quotas(quotas, executed, splits, wanted) if whole else None
         if more is None:
-            return [(name, *read_grasps(out)) for name, out in there.items()], refused
+            return items, refused, missing_of(executed, splits, wanted)
         quotas = more
         for name, task in tasks.items():
             tasks[name] = replace(task, quota=quotas[name], force=False)

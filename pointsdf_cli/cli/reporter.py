@@ -23,7 +23,7 @@ class Reporter:
     """Progress and messages on stderr, the result on stdout.
 
     Attributes:
-        quiet: Print only errors on stderr.
+        quiet: Print only errors, and warnings of too small results, on stderr.
         as_json: Print the result as one JSON object instead of lines.
     """
 
@@ -36,6 +36,10 @@ class Reporter:
             return
         for line in lines:
             print(printable(line), file=sys.stderr, flush=True)
+
+    def warn(self, sentence: str) -> None:
+        """Print a warning on stderr, also when quiet: the result is not what was asked for."""
+        print(printable(f"warning: {sentence}"), file=sys.stderr, flush=True)
 
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
         """Print the command's result: `values` as JSON, or `lines` (by default "name: value")."""

@@ -292,3 +292,11 @@ def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:
     for name, quota in quotas.items():
         totals[splits[name]] += quota
     return totals
+
+
+def missing_of(
+    executed: dict[str, int], splits: dict[str, str], wanted: dict[str, int]
+) -> dict[str, int]:
+    """Number of executed grasps that each split lacks; arguments as in `next_quotas`."""
+    have = wanted_of(splits, executed)
+    return {split: max(0, target - have[split]) for split, target in wanted.items()}
