@@ -159,6 +159,31 @@ def test_too_few_grasps_are_said_even_when_quiet(
     assert "3 meshes skipped, such as crate: is too large" in done.err
 
 
+def test_a_shard_reports_on_all_grasps_and_films_stay(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    trimesh.creation.cylinder(0.03, 0.14).export(meshes / "tin.ply")
+    (meshes / "crate.ply").unlink()
+    out = tmp_path / "g"
+    run = ("collect-grasps", "--meshes", meshes, "--out", out, "--count", 2, "--jobs", 1, "-q")
+    run = (*run, "--no-pictures", "--json")
+    assert cli(*run, "--record", 1).code == 0
+    page, film = (out / "report.html").read_text(encoding="utf-8"), out / "film-00.gif"
+    assert film.is_file()
+    assert "<td>tin" in page
+    shard = cli(*run, "--shard", "0/2")
+    assert shard.code == 0, shard.err
+    result = json.loads(shard.out)
+    assert (result["objects"], result["executed"]) == (1, 1)  # its own
+    assert (out / "report.html").read_text(encoding="utf-8") == page
+    assert film.is_file()
+    # Grasps of another run are not part of it, and films of grasps that are gone go.
+    other = cli(*run, "--shard", "0/2", "--seed", 5, "--force")
+    assert other.code == 0, other.err
+    assert "<td>tin" not in (out / "report.html").read_text(encoding="utf-8")
+    assert not film.exists()
+
+
 def test_a_robot_that_the_simulator_cannot_load_is_said_first(
     cli: Callable[..., Any], meshes: Path, tmp_path: Path
 ) -> None:

@@ -119,9 +119,13 @@ def collect_grasps(
     if refused and not items and shard is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
-    strips, page = _films(items, tasks, machine, out, record, pictures), out / "report.html"
+    shown, page = _with_other_shards(items, tasks, every), out / "report.html"
+    if force:  # they may show grasps that are gone
+        for stale in out.glob("film-*.gif"):
+            stale.unlink()
+    strips = _films(shown, every, machine, out, record, pictures)
     title = f"rgrasp grasps: {out.name}"
-    write_text_atomic(page, grasp_report(items, sorted(refused.items()), strips, title))
+    write_text_atomic(page, grasp_report(shown, sorted(refused.items()), strips, title))
     values = {"out": out, "objects": len(items), "refused": refused, "missing": missing}
     values |= _counts(items, push > 0)
     seconds = round(time.monotonic() - started, 3)
@@ -163,6 +167,20 @@ def _shortfall(missing: dict[str, int], refused: dict[str, str], whole: bool) ->
         skipped = f" ({len(refused)} meshes skipped, such as {name}: {reason})"
     remedy = "add meshes that the hand can grasp" if whole else "run once more without --shard"
     return f"--count is not met: executed grasps are missing, {splits}{skipped}; {remedy}"
+
+
+def _with_other_shards(
+    items: list[tuple[str, Grasps, GraspsMeta]],
+    tasks: dict[str, CollectTask],
+    every: dict[str, CollectTask],
+) -> list[tuple[str, Grasps, GraspsMeta]]:
+    """The grasps of this shard, and those that the other shards have made until now."""
+    from pointsdf_cli.simulation.collect import is_of_run
+
+    found = {name: (name, grasps, meta) for name, grasps, meta in items}
+    others = [n for n, task in every.items() if n not in tasks and is_of_run(task)]
+    found |= {name: (name, *_read(every[name])) for name in others}
+    return [found[name] for name in every if name in found]
 
 
 def _read(task: CollectTask) -> tuple[Grasps, GraspsMeta]:
@@ -246,8 +264,6 @@ def _films(
     pictures: bool,
 ) -> list[tuple[str, np.ndarray]]:
     """Pictures for the report, and GIF films of the first `record` of the same attempts."""
-    for stale in out.glob("film-*.gif"):
-        stale.unlink()
     if not items or not (pictures or record):
         return []
     from pointsdf_cli.simulation.replay import film_of, pick_attempts

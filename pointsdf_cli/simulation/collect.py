@@ -152,6 +152,14 @@ def _some_attempts(
     return attempts
 
 
+def is_of_run(task: CollectTask) -> bool:
+    """Whether there are grasps of an object that were made with the same options."""
+    try:
+        return is_complete(task.out, schema=SCHEMA, version=VERSION, config=_options_of(task))
+    except InputError:
+        return False
+
+
 def require_same_options(tasks: Iterable[CollectTask]) -> None:
     """Require the same options in existing files of objects outside this call, which count too.
 
