@@ -144,15 +144,18 @@ class _Deferred(ModuleType):
     """A module that runs when an attribute is asked for that it does not have yet."""
 
     def __getattr__(self, name: str) -> Any:
-        lacks = AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        # No variable holds an error: its traceback would keep alive all that callers hold.
         if name in _LOOKED_FOR:
-            raise lacks
+            raise self._lacks(name)
         if name in PROMISED.get((self.__name__, _asking()), ()):
             return _stand_in(self, name)
         with _loading:
             if not self._run() and type(self) is _Deferred:
-                raise lacks  # asked for by what it imports while it runs
+                raise self._lacks(name)  # asked for by what it imports while it runs
         return getattr(self, name)
+
+    def _lacks(self, name: str) -> AttributeError:
+        return AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
 
     def _run(self) -> bool:
         """Run the module's code unless that was begun; whether it was run now."""

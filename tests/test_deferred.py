@@ -65,6 +65,22 @@ def test_a_name_that_a_deferred_module_lacks_is_an_attribute_error(tmp_path: Pat
     assert told == ["imported", "leaf runs", "False"]
 
 
+def test_an_attribute_that_is_lacking_keeps_nothing_of_the_caller(tmp_path: Path) -> None:
+    make_package(tmp_path)
+    told = run(
+        "import gc, weakref\ngc.disable()\n" + DEFER + "class Held: pass\n"
+        "def ask():\n"
+        "    held = Held()\n"
+        "    try:\n"
+        "        whole.leaf.__path__\n"
+        "    except AttributeError:\n"
+        "        return weakref.ref(held)\n"
+        "print(ask()())\n",
+        tmp_path,
+    )
+    assert told == ["imported", "None"]
+
+
 def test_libraries_load_without_what_is_deferred_and_have_it_when_asked(tmp_path: Path) -> None:
     told = run(
         "from pointsdf_cli.deferred import defer_unused\n"
