@@ -109,6 +109,44 @@ def test_a_file_cut_short_is_an_input_error(artifact: Path, keep: int) -> None:
         read_artifact(artifact, schema="views", version=1)
 
 
+def test_damaged_numbers_are_an_input_error(tmp_path: Path) -> None:
+    path, numbers = tmp_path / "a.h5", np.random.default_rng(0).random((1000, 300, 3))
+    write_artifact(path, "views", 1, {"cloud": Column("f8 [V, P, 3]")}, {"cloud": numbers})
+    read = read_artifact(path, schema="views", version=1)
+    np.testing.assert_array_equal(read.datasets["cloud"], numbers)
+    whole = bytearray(path.read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 200] = bytes(200)
+    path.write_bytes(whole)
+    with pytest.raises(InputError, match="damaged"):
+        read_artifact(path, schema="views", version=1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "compress"),
+    [((), False), ((0,), False), ((0, 3), True), ((3, 0), False), ((1,), True)],
+)
+def test_arrays_of_nothing_and_single_numbers_come_back(
+    tmp_path: Path, shape: tuple[int, ...], compress: bool
+) -> None:
+    path, array = tmp_path / "a.h5", np.ones(shape)
+    layout = {"a": Column("f8", compress=compress)}
+    write_artifact(path, "views", 1, layout, {"a": array})
+    np.testing.assert_array_equal(
+        read_artifact(path, schema="views", version=1).datasets["a"], array
+    )
+
+
+def test_a_file_without_check_sums_is_read(artifact: Path) -> None:
+    with h5py.File(artifact, "a") as file:
+        told = dict(file["cloud"].attrs)
+        assert file["cloud"].fletcher32
+        del file["cloud"]
+        file.create_dataset("cloud", data=NUMBERS).attrs.update(told)
+    read = read_artifact(artifact, schema="views", version=1)
+    np.testing.assert_array_equal(read.datasets["cloud"], NUMBERS)
+
+
 def test_foreign_hdf5_is_known(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "x.h5", "w") as file:
         file["data"] = NUMBERS

@@ -44,6 +44,9 @@ def changed_options(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[
 NO_SEED = -1
 """The `seed` attribute of an artifact in which nothing was drawn."""
 
+_CHUNK = 1 << 20
+"""Bytes with one check sum, roughly."""
+
 
 @dataclass(frozen=True)
 class Artifact:
@@ -112,18 +115,28 @@ def write_artifact(
         for name, value in (attributes or {}).items():
             file.attrs[name] = value
         for name, column in layout.items():
-            array, squeeze = arrays[name], {}
+            array = arrays[name]
             if column.kind == "S":
                 array = np.array([text.encode() for text in array], dtype="S")
             elif isinstance(array, list):
                 array = np.array(array, dtype=column.kind)
-            if column.compress:
-                squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-            stored = file.create_dataset(name, data=array, track_times=False, **squeeze)
+            packing = _packing(np.asarray(array), column.compress)
+            stored = file.create_dataset(name, data=array, track_times=False, **packing)
             stored.attrs["units"] = column.units
             stored.attrs["frame"] = column.frame
     with atomic_path(path) as temporary:
         temporary.write_bytes(image.getbuffer())
+
+
+def _packing(array: np.ndarray, compress: bool) -> dict[str, Any]:
+    """Options of a dataset: check sums, as damage shows nowhere else in what is not compressed."""
+    squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compress else {}
+    if not (array.ndim and array.size):
+        return squeeze  # HDF5 has no check sum for single numbers
+    if not compress:  # chunks of whole rows: the library's own take twice as long
+        parts = -(-array.nbytes // _CHUNK)
+        squeeze = {"chunks": (-(-len(array) // parts), *array.shape[1:])}
+    return squeeze | {"fletcher32": True}
 
 
 def read_artifact(
@@ -209,7 +222,7 @@ def open_hdf5(path: Path | str) -> Iterator[h5py.File]:
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         # The library finds damage where it comes by, in attributes as well as in datasets.
         raise InputError(
-            "cannot be read as HDF5: not such a file, or cut short",
+            "cannot be read as HDF5: not such a file, damaged or cut short",
             where=path,
             allowed="a whole .h5 file written by rgrasp",
             hint="move it away, if it is one, and run the stage again: it makes only what is "
