@@ -183,3 +183,11 @@ def test_every_cloud_is_meshed_by_itself_and_kept(tmp_path: Path) -> None:
     assert run_cli("mesh", *clouds, *words).code == 2
     assert run_cli("mesh", *clouds, *words, "--force", "--jobs", "1").code == 0
     assert json.loads((out / "cloud0.json").read_text())["config"]["smooth"] == 25
+
+    whole = (out / "cloud0.stl").read_bytes()
+    (out / "cloud0.stl").write_bytes(whole[:-100])
+    damaged = run_cli("mesh", *clouds, *words, "--jobs", "1")
+    assert damaged.code == 2
+    assert "cloud0.stl: is not as it was written" in damaged.err
+    assert run_cli("mesh", *clouds, *words, "--jobs", "1", "--force").code == 0
+    assert (out / "cloud0.stl").read_bytes() == whole

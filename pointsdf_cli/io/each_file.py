@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pointsdf_cli.choices import first_given
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.hdf5 import OptionsDifferError, changed_options
+from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.untrusted import read_json
 
 Value = TypeVar("Value")
@@ -70,18 +71,22 @@ def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
 
     Args:
         out: File whose format has no place for its options.
-        record: JSON file with them under "config".
+        record: JSON file with them under "config", and the digest of `out` under "sha256".
         config: Options in plain types.
 
     Raises:
-        OptionsDifferError: It was made with others, or nothing says with which.
+        OptionsDifferError: It was made with others, nothing says with which, or its contents are
+            not those that were written.
         InputError: The record cannot be read.
     """
     if not out.exists():
         return False
     told = read_json(record) if record.exists() else None
     theirs = told.get("config") if isinstance(told, Mapping) else None
-    if theirs == config:
+    if isinstance(told, Mapping) and theirs == config:
+        # Records of before have no digest.
+        if told.get("sha256") not in (None, file_sha256(out)):
+            raise OptionsDifferError.of_file(out, "is not as it was written: damaged or changed")
         return True
     changed = changed_options(theirs if isinstance(theirs, Mapping) else {}, config)
     raise OptionsDifferError.of_file(out, f"was made with other options ({', '.join(changed)})")

@@ -9,7 +9,7 @@ from typing import Any
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import as_input_error
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.io.atomic import write_text_atomic
+from pointsdf_cli.io.atomic import atomic_path, write_text_atomic
 from pointsdf_cli.io.each_file import is_done
 from pointsdf_cli.io.meshes import UNITS, save_mesh
 from pointsdf_cli.io.provenance import file_sha256
@@ -81,7 +81,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
 
     Raises:
         InputError: The cloud cannot be used, or the network sees nothing solid in it.
-        OptionsDifferError: The mesh was made with other options, or from another cloud.
+        OptionsDifferError: The mesh was made with other options, from another cloud, or is damaged.
     """
     config, settings = task.config(), task.settings
     if not task.force and is_done(task.out, task.record, config):
@@ -99,7 +99,9 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
     summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)
-    task.out.unlink(missing_ok=True)  # the old mesh must not stand beside the new record
-    write_text_atomic(task.record, to_json({"config": config, **asdict(summary)}, indent=1) + "\n")
-    save_mesh(task.out, vertices, made.faces)
+    with atomic_path(task.out) as temporary:
+        save_mesh(temporary, vertices, made.faces)
+        told = {"config": config, "sha256": file_sha256(temporary), **asdict(summary)}
+        task.out.unlink(missing_ok=True)  # the old mesh must not stand beside the new record
+        write_text_atomic(task.record, to_json(told, indent=1) + "\n")
     return summary
