@@ -147,6 +147,24 @@ def test_views_of_another_mesh_are_refused(
     assert "another version of ball.ply" in err
 
 
+def test_what_is_advised_for_a_damaged_view_works(
+    networks: tuple[Path, Path], views: Path, mesh_folder: Path, tmp_path: Path
+) -> None:
+    with h5py.File(views / "ball.h5") as file:
+        place = file["cloud"].id.get_chunk_info(0).byte_offset
+    with (views / "ball.h5").open("r+b") as damaged:
+        damaged.seek(place + 3000)
+        damaged.write(bytes(200))
+    words = ("--checkpoint", networks[0], "--jobs", 1, "--gallery", 0, "--count", 1)
+    out = tmp_path / "table.json"
+    code, _, err = evaluate(views, mesh_folder, out, *words)
+    assert code == 2
+    assert "ball.h5" in err
+    assert "--force" in err
+    assert out.exists()
+    assert evaluate(views, mesh_folder, out, *words, "--skip-bad", "--force")[0] == 0
+
+
 def test_missing_views_say_how_to_make_them(
     networks: tuple[Path, Path], mesh_folder: Path, tmp_path: Path
 ) -> None:

@@ -98,5 +98,7 @@ def eval_sdf(
     write_text_atomic(csv_path, objects_csv([v for rows in report.made.values() for v in rows]))
     evaluation.draw_extremes(picture, tasks, report, aside, gallery)
     reporter.result(result, [*lines, "", f"{table_path}, {csv_path.name}; {report.seconds:.0f} s"])
-    if not skip_bad:
-        report.raise_if_refused()
+    if not skip_bad:  # the table of the others is there by now
+        report.raise_if_refused(
+            "mend or remove them, or add --skip-bad, and run the same command again with --force"
+        )

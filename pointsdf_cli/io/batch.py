@@ -29,6 +29,8 @@ from pointsdf_cli.io.one_thread import one_thread_each
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+AGAIN = "mend or remove them and run the same command again, or add --skip-bad"
+
 
 @dataclass
 class StageReport(Generic[Result]):
@@ -46,8 +48,11 @@ class StageReport(Generic[Result]):
     refused: list[tuple[str, InputError]] = field(default_factory=list)
     seconds: float = 0.0
 
-    def raise_if_refused(self) -> None:
+    def raise_if_refused(self, again: str = AGAIN) -> None:
         """Raise one error for all that was refused, if anything was.
+
+        Args:
+            again: Hint where there are several inputs.
 
         Raises:
             InputError: With the first few messages; the good files were finished all the same.
@@ -61,7 +66,7 @@ class StageReport(Generic[Result]):
         raise InputError(
             f"{len(self.refused)} of {len(self.refused) + len(self.made) + len(self.kept)} inputs "
             f"cannot be used (the others are done):\n{shown}{more}",
-            hint="mend or remove them and run the same command again, or add --skip-bad",
+            hint=again,
         )
 
 

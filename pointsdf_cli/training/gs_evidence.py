@@ -102,7 +102,7 @@ def evidence_of(
         tasks.append((name, EvidenceTask(file, out, key, encoder, sweep, robot)))
     missing = [(name, task) for name, task in tasks if not task.out.is_file()]
     made = run_stage(missing, make_evidence, jobs=jobs, folders=[cache], on_done=on_done)
-    made.raise_if_refused()
+    made.raise_if_refused("mend or remove them and run the same command again")
     evidence = join_evidence([read_evidence(task.out) for _, task in tasks])
     if len(evidence.scale) != len(data):
         raise InputError("does not fit the grasps", where=cache, hint=f"remove {cache}")
