@@ -86,6 +86,15 @@ def test_yaml_merges_of_merges(tmp_path: Path) -> None:
     assert read_yaml(tmp_path / "good.yaml") == {"a": {"x": 1}, "b": {"x": 1, "y": 2}}
 
 
+@pytest.mark.parametrize("text", ["home: [0]\nurdf: a\nhome: [1]\n", "b: [{home: 1, 'home': 2}]"])
+def test_a_yaml_key_that_stands_twice_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(InputError, match="`home` stands a second time, in line"):
+        read_yaml(tmp_path / "a.yaml")
+    (tmp_path / "a.yaml").write_text("a: {x: 1}\nb: {x: 1}\n1: a\n'1': b\n")
+    assert read_yaml(tmp_path / "a.yaml") == {"a": {"x": 1}, "b": {"x": 1}, 1: "a", "1": "b"}
+
+
 def test_yaml_makes_no_python_objects(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("!!python/object/apply:os.system ['touch owned']")
     with pytest.raises(InputError, match="not YAML"):

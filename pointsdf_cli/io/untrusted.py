@@ -37,7 +37,8 @@ def read_yaml(path: Path, first_document: bool = False) -> Any:
         first_document: Leave out what follows `---`, where more is refused otherwise.
 
     Raises:
-        InputError: Not YAML, or more than `MOST_NODES` nodes once its aliases are followed.
+        InputError: Not YAML, a key that stands twice in a mapping, or more than `MOST_NODES` nodes
+            once its aliases are followed.
     """
     text = _text(path, "YAML", "YAML")
     try:
@@ -145,7 +146,7 @@ def _text(path: Path, kind: str, form: str) -> str:
 
 
 def _check_nodes(root: yaml.Node, path: Path) -> None:
-    """Refuse more than `MOST_NODES` nodes, counted with aliases followed."""
+    """Refuse keys that stand twice, and more than `MOST_NODES` nodes with aliases followed."""
     waiting, seen = [root], 0
     while waiting:
         node = waiting.pop()
@@ -154,8 +155,17 @@ def _check_nodes(root: yaml.Node, path: Path) -> None:
             what = "holds too much once its aliases are followed"
             raise InputError(what, where=path, allowed=f"{MOST_NODES} entries")
         if isinstance(node, yaml.MappingNode):
+            keys = set()
             for pair in node.value:
                 waiting += pair
+                key = pair[0]
+                if not isinstance(key, yaml.ScalarNode) or key.value == "<<":
+                    continue
+                if (key.tag, key.value) in keys:  # PyYAML would take the last one
+                    again = f"line {key.start_mark.line + 1}"
+                    what = f"`{key.value[:60]}` stands a second time, in {again}"
+                    raise InputError(what, where=path, allowed="each key once")
+                keys.add((key.tag, key.value))
         elif isinstance(node, yaml.SequenceNode):
             waiting += node.value
 
