@@ -130,6 +130,16 @@ def test_a_joint_that_is_left_out_is_told(gripper: Callable[[str, str], Path]) -
     assert any("roll" in f.what and f.level == "warning" for f in findings)
 
 
+def test_a_range_of_more_than_two_turns_is_told(gripper: Callable[[str, str], Path]) -> None:
+    path = gripper("", "")
+    urdf = path.with_name("gripper.urdf")
+    text = urdf.read_text()
+    for end, told in ((6.28318530718, False), (9.0, True)):
+        urdf.write_text(text.replace('lower="-1.5" upper="1.5"', f'lower="-{end}" upper="{end}"'))
+        findings = check_robot(load_robot(path)).findings
+        assert any("lean turns" in f.what and "degrees" in f.fix for f in findings) == told
+
+
 def test_a_hand_that_waits_otherwise_than_it_grasps_is_told() -> None:
     panda = load_robot("panda")
     assert not any("in grasps" in f.what for f in check_robot(panda).findings)

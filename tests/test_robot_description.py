@@ -139,6 +139,34 @@ def test_a_mesh_of_a_package_lies_beside_a_copied_urdf(tmp_path: Path) -> None:
     assert load_robot(path).tree.shapes["left"][0].kind == "hull"
 
 
+@pytest.mark.parametrize("scale", ["1000 1000 1000", "1 200 1", "1e300 1 1"])
+def test_a_link_in_millimetres_is_refused_before_it_is_sampled(tmp_path: Path, scale: str) -> None:
+    mesh = f'<mesh filename="jaw.stl" scale="{scale}"/>'
+    path = spoiled(tmp_path, '<box size="0.06 0.01 0.02"/>', mesh)
+    trimesh.creation.box((0.06, 0.04, 0.02)).export(tmp_path / "jaw.stl")
+    with pytest.raises(InputError, match=r"jaw\.stl: link 'left': the mesh is ") as caught:
+        load_robot(path)
+    assert "millimetres" in str(caught.value.hint)
+    spoiled(tmp_path, '<box size="0.06 0.01 0.02"/>', '<box size="60 10 20"/>')
+    with pytest.raises(InputError, match=r"gripper\.urdf: link 'left': a box is 60 m across"):
+        load_robot(path)
+
+
+def test_limits_in_degrees_are_refused(tmp_path: Path) -> None:
+    path = spoiled(tmp_path, 'lower="-1.5" upper="1.5"', 'lower="-86" upper="86"')
+    with pytest.raises(InputError, match="'lean' turns from -86 to 86 rad") as caught:
+        load_robot(path)
+    assert "degrees" in str(caught.value.hint)
+
+
+def test_a_negative_size_names_its_link_and_file(tmp_path: Path) -> None:
+    path = spoiled(tmp_path, '<box size="0.06 0.01 0.02"/>', '<box size="0.06 -0.01 0.02"/>')
+    said = "gripper.urdf: link 'left': a box of size 0.06, -0.01, 0.02\n"
+    with pytest.raises(InputError) as caught:
+        load_robot(path)
+    assert said in caught.value.message
+
+
 def test_links_fixed_to_the_root_stand_on_the_table() -> None:
     tree = load_robot("panda").tree
     assert tree.fixed_to_root()[0] == tree.links[0]

@@ -187,6 +187,10 @@ def _joints(robot: RobotDescription) -> Iterator[Finding]:
         fast = [robot.closing_joints[k] for k in np.flatnonzero(too_fast)]
         what = f"{', '.join(fast)} would close faster than the URDF's velocity limit"
         yield Finding(WARNING, what, "smaller numbers in closing_joints")
+    for joint in robot.joints:
+        if joint.kind == "revolute" and joint.upper - joint.lower > 4 * np.pi + 0.01:
+            what = f"{joint.name} turns by more than two turns: {joint.lower:g} to {joint.upper:g}"
+            yield Finding(WARNING, what, "rad in the URDF's <limit>; are these degrees?")
     if robot.tree.without_mass:
         yield Finding(
             WARNING,

@@ -16,6 +16,9 @@ from pointsdf_cli.robot.urdf import Joint, Tree
 REQUIRED = ("urdf", "arm_joints", "hand_joints", "preshape_joints", "closing_joints", "palm")
 OPTIONAL = ("name", "mount", "links_on_table", "arm_limit_margin", "home", "may_touch")
 
+MOST_TURN = 20.0
+"""Largest range of a joint with stops [rad], three turns: degrees are more."""
+
 
 class RobotKeys:
     """Typed values of a robot's YAML mapping; an error names the file and the key.
@@ -56,13 +59,21 @@ class RobotKeys:
         return tuple(names)
 
     def check_limits(self, joints: list[Joint]) -> None:
-        """Refuse joints without a range, a speed or a torque."""
+        """Refuse joints without a range, a speed or a torque, and ranges in degrees."""
+        urdf = self.path.parent / str(self.data["urdf"])
         for joint in joints:
+            if joint.kind == "revolute" and joint.upper - joint.lower > MOST_TURN:
+                raise InputError(
+                    f"joint {joint.name!r} turns from {joint.lower:g} to {joint.upper:g} rad",
+                    where=urdf,
+                    allowed=f"a range of up to {MOST_TURN:g} rad",
+                    hint='limits in degrees? Or type="continuous", if nothing stops it',
+                )
             if joint.lower >= joint.upper or joint.velocity <= 0 or joint.effort <= 0:
                 raise InputError(
                     f"joint {joint.name!r} has lower {joint.lower:g}, upper {joint.upper:g}, "
                     f"velocity {joint.velocity:g}, effort {joint.effort:g}",
-                    where=self.path.parent / str(self.data["urdf"]),
+                    where=urdf,
                     allowed="lower below upper, velocity and effort above 0",
                 )
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 KINDS = ("box", "cylinder", "sphere", "hull")
+WIDEST = 5.0
+"""A robot's link is no larger than this [m]; what is was drawn in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Shape:
         if self.kind not in KINDS:
             raise InputError(f"no shape {self.kind!r}", allowed=", ".join(KINDS))
         if any(value <= 0 for value in self.size):
-            raise InputError(f"a {self.kind} of size {self.size}", allowed="sizes above 0 m")
+            size = ", ".join(f"{value:g}" for value in self.size)
+            raise InputError(f"a {self.kind} of size {size}", allowed="sizes above 0 m")
 
     def triangles(self) -> tuple[Array, Indices]:
         """Corners and faces of a hull, in its own frame.
@@ -137,18 +140,39 @@ def mesh_shape(path: Path, scale: Array, pose: Array) -> Shape:
     """The convex hull of a mesh file, as physics engines take a link's mesh.
 
     Raises:
-        InputError: The mesh cannot be read, or has no inside.
+        InputError: The mesh cannot be read, is larger than a link, or has no inside.
     """
     import trimesh
     from scipy.spatial import QhullError
 
     # A hull needs neither a closed surface nor metres: drawings in millimetres come with a scale.
     vertices, faces = read_triangles(path)
+    corners = vertices[np.unique(faces)] * scale
+    smaller = " ".join(f"{one:g}" for one in scale / 1000)
+    require_metres(corners, "the mesh", path, f'in millimetres? Then scale="{smaller}"')
     try:
-        hull = trimesh.convex.convex_hull(vertices[np.unique(faces)] * scale)
+        hull = trimesh.convex.convex_hull(corners)
     except QhullError as error:
         raise InputError("is flat: it has no convex hull", where=path) from error
     return Shape("hull", (), pose, np.asarray(hull.vertices), np.asarray(hull.faces))
+
+
+def require_metres(points: Array, what: str, where: object, hint: str) -> None:
+    """Refuse a shape larger than `WIDEST`, whose samples would fill the memory.
+
+    Args:
+        points: [N, 3], its corners or those of a box around it, m.
+        what: The shape, for the message.
+        where: Its file.
+        hint: Suggestion.
+
+    Raises:
+        InputError: It is larger.
+    """
+    across = float(np.ptp(points, axis=0).max())
+    if not across <= WIDEST:
+        size = f"{across:.4g} m across"
+        raise InputError(f"{what} is {size}", where=where, allowed=f"up to {WIDEST:g} m", hint=hint)
 
 
 def bounding_box(shapes: tuple[Shape, ...]) -> Array:

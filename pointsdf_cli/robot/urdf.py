@@ -15,10 +15,16 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.untrusted import read_xml
-from pointsdf_cli.robot.shapes import Shape, mesh_shape
+from pointsdf_cli.robot.shapes import Shape, mesh_shape, require_metres
 
 MOVING = ("revolute", "continuous", "prismatic")
 JOINT_KINDS = (*MOVING, "fixed")
+PRIMITIVES = {
+    "box": (("size",), 3),
+    "cylinder": (("radius", "length"), 2),
+    "sphere": (("radius",), 1),
+}
+"""Attributes with the sizes of a shape, and how many numbers they hold."""
 MOST = {"link": 1000, "joint": 1000, "link/collision": 2000}
 """Elements of each kind in the largest robot: times grow with the square of their number."""
 
@@ -257,27 +263,31 @@ def _mimic(node: ET.Element, path: Path) -> tuple[str, float] | None:
 
 
 def _shapes(link: ET.Element, path: Path) -> list[Shape]:
-    shapes = []
+    shapes, name = [], link.get("name")
     for part in link.findall("collision"):
         geometry = part.find("geometry")
         if geometry is None or not len(geometry):
-            raise InputError(f"link {link.get('name')!r} has a collision without shape", where=path)
-        node, pose = geometry[0], _origin(part, path)
-        if node.tag == "box":
-            shapes.append(Shape("box", tuple(_numbers(node.get("size"), 3, path)), pose))
-        elif node.tag == "cylinder":
-            size = (node.get("radius"), node.get("length"))
-            values = [float(_numbers(value, 1, path)[0]) for value in size]
-            shapes.append(Shape("cylinder", tuple(values), pose))
-        elif node.tag == "sphere":
-            shapes.append(Shape("sphere", tuple(_numbers(node.get("radius"), 1, path)), pose))
-        elif node.tag == "mesh":
-            scale = _vector(node, "scale", (1.0, 1.0, 1.0), path)
-            shapes.append(mesh_shape(mesh_file(node.get("filename", ""), path), scale, pose))
-        else:
-            what = f"link {link.get('name')!r} has the shape <{node.tag}>"
-            raise InputError(what, where=path, allowed="box, cylinder, sphere, mesh")
+            raise InputError(f"link {name!r} has a collision without shape", where=path)
+        try:
+            shapes.append(_shape(geometry[0], _origin(part, path), path))
+        except InputError as error:
+            what, where = f"link {name!r}: {error.what}", error.where or path
+            raise InputError(what, where=where, allowed=error.allowed, hint=error.hint) from error
     return shapes
+
+
+def _shape(node: ET.Element, pose: Array, path: Path) -> Shape:
+    if node.tag == "mesh":
+        scale = _vector(node, "scale", (1.0, 1.0, 1.0), path)
+        return mesh_shape(mesh_file(node.get("filename", ""), path), scale, pose)
+    if node.tag not in PRIMITIVES:
+        allowed = ", ".join((*PRIMITIVES, "mesh"))
+        raise InputError(f"the shape <{node.tag}>", where=path, allowed=allowed)
+    keys, count = PRIMITIVES[node.tag]
+    size = _numbers(" ".join(node.get(key, "") for key in keys), count, path)
+    shape = Shape(node.tag, tuple(size.tolist()), pose)
+    require_metres(shape.bounds(), f"a {node.tag}", path, "are its lengths in millimetres?")
+    return shape
 
 
 def mesh_file(name: str, urdf: Path) -> Path:
