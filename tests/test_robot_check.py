@@ -130,6 +130,47 @@ def test_a_joint_that_is_left_out_is_told(gripper: Callable[[str, str], Path]) -
     assert any("roll" in f.what and f.level == "warning" for f in findings)
 
 
+@pytest.mark.parametrize(
+    ("mimic", "closing", "error", "fix"),
+    [
+        ('multiplier="1"', "left_jaw: 0.05, right_jaw: 0.05", "", ""),
+        ('multiplier="1"', "left_jaw: 0.05, right_jaw: -0.05", "does not close as it does",
+         "closing_joints: {right_jaw: 0.05}"),
+        ('multiplier="0.5"', "left_jaw: 0.05", "does not close as it does",
+         "closing_joints: {right_jaw: 0.025}"),
+        ('multiplier="0.5"', "right_jaw: 0.02", "which does not close",
+         "closing_joints: {left_jaw: 0.04}"),
+        ('multiplier="-1"', "left_jaw: 0.05, right_jaw: -0.05", "beyond its limits 0 to 0.045",
+         '<limit lower="-0.045" upper="0">'),
+    ],
+)  # fmt: skip
+def test_followers_that_contradict_their_leader_are_errors(
+    gripper: Callable[[str, str], Path], mimic: str, closing: str, error: str, fix: str
+) -> None:
+    path = gripper("left_jaw: 0.05, right_jaw: 0.05", closing)
+    urdf = path.with_name("gripper.urdf")
+    place = '<parent link="grip"/><child link="right"/>'
+    urdf.write_text(urdf.read_text().replace(place, f'{place}<mimic joint="left_jaw" {mimic}/>'))
+    found = check_robot(load_robot(path))
+    said = [f for f in found.findings if f.level == ERROR and "<mimic>" in f.what]
+    assert len(said) == (error != ""), found.findings
+    assert not said or (error in said[0].what and fix in said[0].fix)
+    assert found.passed == (error == "")
+
+
+def test_a_closing_joint_whose_leader_is_not_listed_is_an_error(
+    gripper: Callable[[str, str], Path],
+) -> None:
+    path = gripper("hand_joints: [left_jaw, right_jaw]", "hand_joints: [right_jaw]")
+    text = path.read_text().replace("{left_jaw: [0.0, 0.02]}", "{right_jaw: [0.0, 0.02]}")
+    path.write_text(text.replace("left_jaw: 0.05, right", "right"))
+    urdf = path.with_name("gripper.urdf")
+    place = '<parent link="grip"/><child link="right"/>'
+    urdf.write_text(urdf.read_text().replace(place, f'{place}<mimic joint="left_jaw"/>'))
+    said = [f for f in check_robot(load_robot(path)).findings if f.level == ERROR]
+    assert any("name left_jaw in hand_joints" in error.fix for error in said), said
+
+
 def test_a_range_of_more_than_two_turns_is_told(gripper: Callable[[str, str], Path]) -> None:
     path = gripper("", "")
     urdf = path.with_name("gripper.urdf")

@@ -114,6 +114,23 @@ def test_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None:
         load_robot(path)
 
 
+def test_a_home_that_contradicts_a_mimic_is_refused(tmp_path: Path) -> None:
+    right = '<parent link="grip"/><child link="right"/>'
+    path = spoiled(tmp_path, right, f'{right}<mimic joint="left_jaw"/>')
+    text = path.read_text()
+    path.write_text(text + "home: [0.1, 0, 0, 0, 0.01, 0.02]\n")
+    with pytest.raises(InputError, match=r"`home`: right_jaw at 0\.02 does not follow") as caught:
+        load_robot(path)
+    assert str(caught.value.allowed).startswith("0.01:")
+    path.write_text(text + "home: [0.1, 0, 0, 0, 0.02, 0.02]\n")
+    assert load_robot(path).home.tolist() == [0.1, 0, 0, 0, 0.02, 0.02]
+    urdf = tmp_path / "gripper.urdf"
+    urdf.write_text(urdf.read_text().replace('"left_jaw"/>', '"left_jaw" multiplier="-1"/>'))
+    with pytest.raises(InputError) as caught:  # nothing that could be typed would do
+        load_robot(path)
+    assert "in the URDF" in str(caught.value.hint)
+
+
 def test_a_follower_without_limits_has_those_of_its_leader(tmp_path: Path) -> None:
     joint = (
         '<parent link="grip"/><child link="right"/><origin xyz="0 -0.05 0"/><axis xyz="0 1 0"/>\n'

@@ -41,6 +41,49 @@ def test_the_gripper_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> Non
     assert "--force" in again.err
 
 
+def coupled(folder: Path, multiplier: float, lower: float, upper: float) -> Path:
+    """The gripper's URDF, its right jaw led by the left one within limits [m]."""
+    text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
+    head, right = text.split('<joint name="right_jaw" type="prismatic">')
+    right = right.replace('lower="0" upper="0.045"', f'lower="{lower}" upper="{upper}"')
+    if multiplier < 0:
+        right = right.replace('axis xyz="0 1 0"', 'axis xyz="0 -1 0"')
+    mimic = '<joint name="right_jaw" type="prismatic"><mimic joint="left_jaw" multiplier="'
+    (folder / "gripper.urdf").write_text(f'{head}{mimic}{multiplier}"/>{right}')
+    return folder / "gripper.urdf"
+
+
+@pytest.mark.parametrize("multiplier", [1.0, 0.5, -1.0])
+def test_followers_close_and_wait_as_their_leader_does(tmp_path: Path, multiplier: float) -> None:
+    ends = sorted((0.0, multiplier * 0.045))
+    urdf = coupled(tmp_path, multiplier, *ends)
+    done = run_cli("robot", "init", urdf, "--out", tmp_path / "mine.yaml")
+    assert done.code == 0, done.err
+    guessed = load_robot(tmp_path / "mine.yaml")
+    speeds = dict(zip(guessed.closing_joints, guessed.closing_speeds, strict=True))
+    assert speeds["left_jaw"] > 0
+    assert speeds["right_jaw"] == pytest.approx(multiplier * speeds["left_jaw"])
+    assert guessed.home[5] == pytest.approx(multiplier * guessed.home[4], abs=1e-3)
+    np.testing.assert_allclose(
+        guessed.preshape_ranges[1], np.sort(multiplier * guessed.preshape_ranges[0])
+    )
+    found = check_robot(guessed)
+    assert found.passed, found.findings
+    assert found.closing.q[-1, 5] == pytest.approx(multiplier * found.closing.q[-1, 4])
+
+
+def test_a_finger_that_its_leader_turns_back_closes_with_it(tmp_path: Path) -> None:
+    """A linkage: the first joint swings the jaw in, its follower keeps the tip level."""
+    data = pytest.importorskip("pybullet_data", reason="PyBullet's robots are not installed")
+    shutil.copytree(Path(data.getDataPath()) / "xarm", tmp_path / "xarm")
+    done = run_cli("robot", "init", tmp_path / "xarm" / "xarm6_with_gripper.urdf")
+    assert done.code == 0, done.err
+    guessed = load_robot(tmp_path / "xarm" / "xarm6_with_gripper.yaml")
+    assert (guessed.closing_speeds == 0.5).all()
+    assert (guessed.home[guessed.closing_columns] == 0).all()
+    assert check_robot(guessed).passed
+
+
 def test_jaws_of_several_links_close_towards_each_other(tmp_path: Path) -> None:
     """A pad and a sensor on each jaw are no fingers of their own."""
     parts = ""

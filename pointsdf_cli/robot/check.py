@@ -18,6 +18,8 @@ from pointsdf_cli.robot.surface import SPACING, clear_of, link_surface
 from pointsdf_cli.robot.urdf import MOVING
 
 ERROR, WARNING = "error", "warning"
+SLACK = 1e-3
+"""Limits of a follower may be narrower than its leader's by this much [rad or m]."""
 POSES, ANYWHERE = 60, 24
 """Number of palm poses for inverse kinematics, and of configurations to check."""
 
@@ -75,7 +77,8 @@ def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
     table_distance, table = _table(robot, kinematics)
     carried = _carried(robot)  # inverse kinematics refuses any other arm
     reached = _reached(robot, kinematics, rng) if carried else 0.0
-    findings = [*_closes(robot, closing), *own, *table, *_joints(robot), *_left_home(robot)]
+    findings = [*_closes(robot, closing), *_coupled(robot), *own, *table, *_joints(robot)]
+    findings += _left_home(robot)
     if farthest > SPACING:
         what = f"a surface point is {farthest * 1e3:.1f} mm from any sample"
         findings.append(Finding(ERROR, what, "report it"))
@@ -112,6 +115,36 @@ def _closes(robot: RobotDescription, closing: Closing) -> Iterator[Finding]:
         yield Finding(ERROR, "an arm joint does not move the palm", fix)
 
 
+def _coupled(robot: RobotDescription) -> Iterator[Finding]:
+    """Check that followers (`<mimic>`) close as their leaders do, and can go where these go."""
+    names = robot.joint_names
+    speeds = dict(zip(robot.closing_joints, map(float, robot.closing_speeds), strict=True))
+    for column, leader, ratio in robot.followers:
+        name, first = names[column], names[leader]
+        leads, own = speeds.get(first), speeds.get(name)
+        says = f"{name} follows {first} (<mimic>, multiplier {ratio:g})"
+        if leads is not None and (own is None or own * leads * ratio < 0):
+            what = f"{says} but does not close as it does"
+            yield Finding(ERROR, what, f"closing_joints: {{{name}: {ratio * leads:g}}}")
+        elif own is not None and leads is None:
+            what = f"{says}, which does not close"
+            yield Finding(ERROR, what, f"closing_joints: {{{first}: {own / ratio:g}}}")
+        low, high = sorted(
+            ratio * float(one[leader]) + 0.0 for one in (robot.hard_lower, robot.hard_upper)
+        )
+        least, most = float(robot.hard_lower[column]), float(robot.hard_upper[column])
+        if low < least - SLACK or high > most + SLACK:
+            what = f"{says} from {low:g} to {high:g}, beyond its limits {least:g} to {most:g}"
+            fix = f'<limit lower="{low:g}" upper="{high:g}"> of {name} in the URDF, or its <mimic>'
+            yield Finding(ERROR, what, fix)
+    led = {names[column] for column, *_ in robot.followers}
+    for joint in robot.joints:
+        if joint.mimic and joint.name in speeds and joint.name not in led:
+            what = f"{joint.name} follows {joint.mimic[0]} (<mimic>), which is kept at 0"
+            fix = f"name {joint.mimic[0]} in hand_joints and in closing_joints, too"
+            yield Finding(ERROR, what, fix)
+
+
 def _left_home(robot: RobotDescription) -> list[Finding]:
     """Hand joints that grasps keep at rest, although home has them elsewhere."""
     used = robot.configuration(robot.home[robot.arm], robot.home[robot.preshape_columns])
@@ -138,7 +171,7 @@ def _self_collisions(
     fine, coarse = SelfCollision(kinematics), SelfCollision(kinematics, 0.03, 0.0)
     if not fine.pairs:
         return float("inf"), []
-    q = rng.uniform(robot.lower, robot.upper, (ANYWHERE, len(robot.lower)))
+    q = robot.follow(rng.uniform(robot.lower, robot.upper, (ANYWHERE, len(robot.lower))))
     distance = fine(*kinematics(np.stack([robot.home, open_hand(robot)]))).numpy()
     anywhere = coarse(*kinematics(q)).numpy() < 0
     found = []

@@ -25,7 +25,7 @@ class Closing:
         tips: Names of the fingers' last links that have a shape; F of them.
         paths: [T, F, 3], the middle of each of them, palm frame, m.
         nearer: By closing joint, how much nearer [m] to the palm's axis a fingertip comes when
-            that joint alone runs to its end; 0 if it only moves away.
+            that joint and its followers alone run to their ends; 0 if it only moves away.
     """
 
     q: Array
@@ -54,6 +54,8 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
     share = np.linspace(0.0, 1.0, steps)[:, None]
     q = np.repeat(start[None], steps, axis=0)
     q[:, robot.closing_columns] = (1 - share) * start[robot.closing_columns] + share * ends
+    ways = dict(zip(robot.closing_columns, q[:, robot.closing_columns].T, strict=True))
+    q = robot.follow(q)
     tips = fingertips(robot)
     middles = [(tip, surface[tip].mean(axis=0)[None]) for tip in tips]
 
@@ -64,11 +66,14 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
         return np.asarray(np.einsum("tba,tfb->tfa", palm[:, :3, :3], apart))
 
     nearer = {}
-    for joint, column, end in zip(robot.closing_joints, robot.closing_columns, ends, strict=True):
+    leaders = {column: (leader, ratio) for column, leader, ratio in robot.followers}
+    for joint, column in zip(robot.closing_joints, robot.closing_columns, strict=True):
+        leader, ratio = leaders.get(column, (column, 1.0))
         alone = np.repeat(start[None], steps, axis=0)
-        alone[:, column] = (1 - share[:, 0]) * start[column] + share[:, 0] * end
-        moved = [k for k, tip in enumerate(tips) if tip in robot.tree.beyond([joint])]
-        away = to_palm_axis(robot, in_palm(alone)[:, moved])
+        alone[:, leader] = ways.get(leader, ways[column] / ratio)
+        beyond = robot.tree.beyond(robot.moved_with(robot.joint_names[leader]))
+        moved = [k for k, tip in enumerate(tips) if tip in beyond]
+        away = to_palm_axis(robot, in_palm(robot.follow(alone))[:, moved])
         nearer[joint] = float((away[0] - away.min(axis=0)).max()) if moved else 0.0
     return Closing(q, tips, in_palm(q), nearer)
 

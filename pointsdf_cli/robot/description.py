@@ -18,6 +18,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array, Indices, Mask
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_yaml
+from pointsdf_cli.robot.mimic import Followers, follow, followers_of, require_together
 from pointsdf_cli.robot.robot_keys import RobotKeys, read_only
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
 
@@ -111,19 +112,19 @@ class RobotDescription:
         return np.where(self.closing_speeds > 0, self.hard_upper[columns], self.hard_lower[columns])
 
     @cached_property
-    def followers(self) -> tuple[tuple[int, int, float], ...]:
+    def followers(self) -> Followers:
         """Joints that others move along (`<mimic>`), such as the second jaw of a gripper: column in
         q, the leader's column, and the ratio of their motions."""
-        coupled = {joint.name: joint.mimic for joint in self.tree.joints if joint.mimic}
-        found = []
-        for column, name in enumerate(self.joint_names):
-            leader, ratio = name, 1.0
-            while leader in coupled:
-                leader, share = coupled[leader]
-                ratio *= share
-            if leader != name and leader in self.joint_names:
-                found.append((column, self.joint_names.index(leader), ratio))
-        return tuple(found)
+        return followers_of(self.tree, self.joint_names)
+
+    def moved_with(self, joint: str) -> tuple[str, ...]:
+        """A joint and its followers."""
+        names, leader = self.joint_names, self.joint_names.index(joint)
+        return joint, *(names[column] for column, first, _ in self.followers if first == leader)
+
+    def follow(self, q: Array) -> Array:
+        """Configurations [..., J] like `q`, with followers where their leaders put them."""
+        return follow(q, self.followers)
 
     @cached_property
     def hand_links(self) -> tuple[str, ...]:
@@ -145,9 +146,7 @@ class RobotDescription:
         q = np.clip(q, self.lower, self.upper)  # a joint whose range leaves out 0 rests at its end
         q[..., self.arm] = arm
         q[..., self.preshape_columns] = preshape
-        for column, leader, ratio in self.followers:
-            q[..., column] = ratio * q[..., leader]
-        return q
+        return self.follow(q)
 
 
 def load_robot(path: Path | str | None = None) -> RobotDescription:
@@ -221,7 +220,7 @@ def robot_of(data: Any, path: Path) -> RobotDescription:
         hard_upper=read_only(np.array([joint.upper for joint in joints])),
         velocity=read_only(np.array([joint.velocity for joint in joints])),
         effort=read_only(np.array([joint.effort for joint in joints])),
-        home=read_only(_home(keys, lower, upper, len(arm))),
+        home=read_only(_home(keys, joints, followers_of(tree, arm + hand), lower, upper)),
         links_on_table=frozenset(keys.links("links_on_table", tree)),
         may_touch=keys.pairs(tree),
     )
@@ -283,9 +282,13 @@ def _palm(keys: RobotKeys, tree: Tree, hand: tuple[str, ...]) -> tuple[str, Arra
     return link, T_link_palm, None if reach is None else float(keys.vector("palm", [reach], 1)[0])
 
 
-def _home(keys: RobotKeys, lower: Array, upper: Array, arm: int) -> Array:
-    """Waiting configuration [J]: all joints or the arm's as given, the others near 0."""
-    home = np.clip(np.zeros(len(lower)), lower, upper)
+def _home(
+    keys: RobotKeys, joints: list[Joint], followers: Followers, lower: Array, upper: Array
+) -> Array:
+    """Waiting configuration [J]: all joints or the arm's as given, the others near 0, or where
+    their leaders put them."""
+    arm = len(keys.data["arm_joints"])
+    home = follow(np.clip(np.zeros(len(lower)), lower, upper), followers)
     if "home" in keys.data:
         given = keys.data["home"]
         count = len(home) if isinstance(given, list) and len(given) > arm else arm
@@ -293,10 +296,10 @@ def _home(keys: RobotKeys, lower: Array, upper: Array, arm: int) -> Array:
     outside = np.flatnonzero((home < lower - 1e-9) | (home > upper + 1e-9))
     if len(outside):
         j = int(outside[0])
-        name = [*keys.data["arm_joints"], *keys.data["hand_joints"]][j]
         within = "limits less `arm_limit_margin`" if j < arm else "limits"
         allowed = f"{lower[j]:.4g} to {upper[j]:.4g}, its {within}"
-        raise keys.wrong("home", f"has {name} at {home[j]:.4g}", allowed)
+        raise keys.wrong("home", f"has {joints[j].name} at {home[j]:.4g}", allowed)
+    require_together(home, joints, followers, f"{keys.path}: `home`")
     return home
 
 

@@ -61,7 +61,7 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
     }
     robot = robot_of(data, beside)
     speeds = closing_speeds(robot) or data["closing_joints"]
-    ranges = preshapes(tree, speeds)
+    ranges = preshapes(robot, speeds)
     robot = replace(
         robot,
         closing_joints=tuple(speeds),
@@ -133,7 +133,7 @@ def _always_touching(robot: RobotDescription) -> list[list[str]]:
     """Pairs that overlap wherever the joints are: their shapes do, not the links."""
     coarse = SelfCollision(Kinematics(robot), 0.02, 0.0)
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (32, len(robot.lower)))
-    share = (coarse(*Kinematics(robot)(q)).numpy() < 0).mean(axis=0)
+    share = (coarse(*Kinematics(robot)(robot.follow(q))).numpy() < 0).mean(axis=0)
     return [list(pair) for pair, often in zip(coarse.pairs, share, strict=True) if often > 0.95]
 
 
@@ -209,7 +209,7 @@ hand_joints: {flow(data["hand_joints"])}
 preshape_joints:
 {mapping("preshape_joints")}
 # What closes, and how fast on the real robot. GUESSED: about a second from open to closed.
-# Mimic joints are not followed: they must stand here too.
+# A mimic joint stands here too, at its leader's speed times its multiplier.
 closing_joints:
 {mapping("closing_joints")}
 

@@ -10,7 +10,6 @@ from pointsdf_cli.robot.closing import fingertips
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
-from pointsdf_cli.robot.urdf import Tree
 
 CLOSES = 0.005
 """A joint that moves its fingertip nearer by less than this [m] over its range does not close."""
@@ -32,7 +31,7 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
 
     Two fingers close towards each other, several towards the palm. In each finger the joint that
     brings its tip nearest closes, as do joints with nearly parallel axes; the others spread or turn
-    the finger and belong to the preshape.
+    the finger and belong to the preshape. Followers (`<mimic>`) close as their leader does.
     """
     tips = fingertips(robot)
     rest = robot.home.copy()
@@ -42,17 +41,26 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
     body = np.zeros(3) if own is None else own.mean(axis=0)
     gains: dict[str, float] = {}
     pair = len({_root(robot, tip) for tip in tips}) == 2
-    fingers = {joint: set(tips) & set(robot.tree.beyond([joint])) for joint in robot.hand_joints}
+    leaders = {column: (leader, ratio) for column, leader, ratio in robot.followers}
+    fingers = {
+        joint: set(tips) & set(robot.tree.beyond(robot.moved_with(joint)))
+        for joint in robot.hand_joints
+    }
     for column, joint in zip(hand, robot.hand_joints, strict=True):
         moved = [k for k, tip in enumerate(tips) if tip in fingers[joint]]
         others = [k for k in range(len(tips)) if k not in moved]
-        if not moved:
+        if not moved or column in leaders:
             continue
         q = np.repeat(rest[None], 9, axis=0)
         q[:, column] = np.linspace(robot.lower[column], robot.upper[column], 9)
-        paths = _middles(robot, tips, q)
+        paths = _middles(robot, tips, robot.follow(q))
         goal = paths[:, others].mean(axis=1) if pair and others else body
-        away = np.linalg.norm(paths[:, moved].mean(axis=1) - goal, axis=-1)
+        middle = paths[:, moved].mean(axis=1)
+        away = np.linalg.norm(middle - goal, axis=-1)
+        if len({_root(robot, tips[k]) for k in moved}) > 1:
+            # Fingers coupled with each other: jaws meet, fingers of a fist come to the palm.
+            apart = np.linalg.norm(paths[:, moved] - middle[:, None], axis=-1).mean(axis=1)
+            away = max(away, apart, key=lambda path: abs(path[-1] - path[0]))
         if abs(away[-1] - away[0]) > 0.7 * np.ptp(away):  # not there and back again
             gains[joint] = float(away[0] - away[-1])
     axes = _axes(robot, rest)
@@ -64,8 +72,15 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
             k = robot.joint_names.index(joint)
             travel = float(robot.upper[k] - robot.lower[k])
             speed = min(round(min(travel / SECONDS, FASTEST), 3), float(robot.velocity[k]))
+            for follower, leader, ratio in robot.followers:
+                if leader == k:
+                    speed = min(speed, float(robot.velocity[follower]) / abs(ratio))
             speeds[joint] = float(np.copysign(speed, gain))
-    return speeds
+    names = robot.joint_names
+    for follower, (leader, ratio) in leaders.items():
+        if names[leader] in speeds:
+            speeds[names[follower]] = ratio * speeds[names[leader]]
+    return {joint: speeds[joint] for joint in robot.hand_joints if joint in speeds}
 
 
 def _axes(robot: RobotDescription, q: Array) -> dict[str, Array]:
@@ -91,17 +106,23 @@ def _in_palm_link(robot: RobotDescription, points: dict[str, Array], q: Array) -
     return [((p - here) @ turned).numpy() for p in kinematics.points(q, points.items())]
 
 
-def preshapes(tree: Tree, closing: dict[str, float]) -> dict[str, list[float]]:
-    """For each finger its first closing joint, nearly open."""
+def preshapes(robot: RobotDescription, closing: dict[str, float]) -> dict[str, list[float]]:
+    """For each finger its first closing joint, nearly open; followers as their leader is."""
+    leaders = {column: (leader, ratio) for column, leader, ratio in robot.followers}
     found = {}
-    for joint in tree.joints:
-        before = [other.name for other in tree.way_up(joint.parent)]
+    for joint in robot.tree.joints:
+        before = [other.name for other in robot.tree.way_up(joint.parent)]
         if joint.name in closing and not closing.keys() & before:
-            part = OPEN_SHARE * (joint.upper - joint.lower)
-            if closing[joint.name] > 0:
-                found[joint.name] = [joint.lower, round(joint.lower + part, 4)]
+            column = robot.joint_names.index(joint.name)
+            k, ratio = leaders.get(column, (column, 1.0))
+            first = robot.joints[k]
+            part = OPEN_SHARE * (first.upper - first.lower)
+            if closing[first.name] > 0:
+                ends = [first.lower, round(first.lower + part, 4)]
             else:
-                found[joint.name] = [round(joint.upper - part, 4), joint.upper]
+                ends = [round(first.upper - part, 4), first.upper]
+            ends = [min(max(ratio * end, joint.lower), joint.upper) for end in ends]
+            found[joint.name] = sorted(ends)
     return found
 
 
@@ -110,7 +131,7 @@ def open_home(robot: RobotDescription) -> Array:
     q = robot.home.copy()
     columns = robot.closing_columns
     q[columns] = np.where(robot.closing_speeds > 0, robot.lower[columns], robot.upper[columns])
-    return q
+    return robot.follow(q)
 
 
 def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
@@ -125,6 +146,7 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
     columns = robot.closing_columns
     ends = np.where(robot.closing_speeds > 0, robot.upper[columns], robot.lower[columns])
     q[:, columns] += np.array([[0.0], [0.25], [1.0]]) * (ends - q[0, columns])
+    q = robot.follow(q)
     opened, soon, closed = _middles(robot, tips, q)
     together, ways = np.median(soon - opened, axis=0), closed - opened
     # The ways of fingers that close from both sides cancel: 0 is left of two jaws, 0.33 of two

@@ -8,9 +8,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.poses import numbers_in
 from pointsdf_cli.robot.description import RobotDescription
-
-APART = 0.005
-"""Largest difference [rad or m] of a joint from where its leader puts it (`<mimic>`)."""
+from pointsdf_cli.robot.mimic import require_together
 
 
 def start_configuration(given: str | Array | None, robot: RobotDescription) -> Array:
@@ -43,9 +41,5 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
         what = f"{name} at {q[j]:.4g} {unit} is beyond its limit"
         allowed = f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}"
         raise InputError(what, where="--start", allowed=allowed)
-    for column, leader, ratio in robot.followers:
-        if abs(q[column] - ratio * q[leader]) > APART:
-            one, other = (f"{robot.joint_names[k]} at {q[k]:.4g}" for k in (column, leader))
-            allowed = f"{ratio * q[leader]:.4g}: the hardware moves both together"
-            raise InputError(f"{one} does not follow {other}", where="--start", allowed=allowed)
+    require_together(q, robot.joints, robot.followers, "--start")
     return q
