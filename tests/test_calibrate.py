@@ -229,6 +229,15 @@ def test_another_model_of_distortion_is_refused(tmp_path: Path) -> None:
         read_lens(str(tmp_path / "K.json"), HD.width, HD.height)
 
 
+def test_distortion_has_many_names(tmp_path: Path) -> None:
+    numbers, path = [0.12, -0.2, 1e-3, -5e-4], tmp_path / "K.json"
+    named = dict(zip(("k1", "k2", "p1", "p2"), numbers, strict=True))
+    inside = {"model": "plumb_bob", "coefficients": numbers}
+    for lens in ({"dist": [numbers]}, {"distortion": inside}, {"distortion": named}, named):
+        path.write_text(json.dumps({"K": HD.K.tolist(), **lens}))
+        assert read_lens(str(path), HD.width, HD.height)[1][:4] == tuple(numbers)
+
+
 @pytest.mark.parametrize("suffix", ["png", "pdf"])
 def test_the_board_is_printed_to_scale(tmp_path: Path, cli: Callable, suffix: str) -> None:
     page = tmp_path / f"board.{suffix}"

@@ -80,6 +80,8 @@ FORMS: dict[str, Any] = {
     },
     "realsense.json": {"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "coeffs": [0] * 5,
                        "model": "distortion.brown_conrady", **SIZE},
+    "stereo.json": {"K": K, "K1": K, "P1": [*FLAT, 0, 0, 0], "distance": 0.5, **SIZE,
+                    "model": "OmniVision", "distortion": {"type": "none", "rows": 1, "k1": 0.0}},
     "nested.json": {"depth": {"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, **SIZE}, "serial": "1"},
     "open3d.json": {"intrinsic_matrix": [FX, 0, 0, 0, FY, 0, CX, CY, 1], **SIZE},
 }  # fmt: skip
@@ -117,9 +119,20 @@ WRONG: dict[str, tuple[Any, str]] = {
     "outer.json": ({"distortion": [0.3], "intrinsics": {"K": K}}, "camera distortion"),
     "around.json": ({"width": 640, "height": 480, "depth": {"K": K}}, "640 × 480"),
     "mapping.json": ({"K": K, "distortion": {"model": "x", "k1": 0.3}}, "camera distortion"),
+    **{
+        f"{name}.json": ({"K": K, name: value}, "camera distortion")
+        for name, value in {
+            "dist": [[0.12, -0.25, 0, 0, 0]], "distCoeffs": [0.1], "dist_coefs": [[0, 0.2]],
+            "distortion_parameters": [0.1], "K1": 0.2, "k2": "0.1",
+            "distortion": {"model": "plumb_bob", "coefficients": [0.2, -0.3, 0, 0, 0]},
+        }.items()
+    },
+    "fisheye.json": ({"K": K, "d": [0] * 4, "distortion_model": "equidistant"}, "no pinhole"),
+    "odd.json": ({"K": K, "distortion": {"model": "field_of_view", "w": 0}}, "no pinhole"),
+    "colmap.json": ({"K": K, "camera_model": "OPENCV_FISHEYE", "k1": 0.0}, "no pinhole"),
     "infinite.json": ({"fx": FX, "fy": FY, "cx": float("inf"), "cy": CY}, "not finite"),
     "endless.json": ({"fx": 10**400, "fy": 1, "cx": 1, "cy": 1}, "not numbers"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", WRONG)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,14 @@ FORMS = (
 _FOCAL = {"fx": ("fx",), "fy": ("fy",), "cx": ("cx", "ppx"), "cy": ("cy", "ppy")}
 _MATRIX = ("K", "k", "camera_matrix", "intrinsic_matrix", "intrinsics", "matrix")
 _NESTED = ("depth", "depth_intrinsics", "intrinsics", "intrinsic", "camera")
-_DISTORTION = (
-    *("D", "d", "coeffs", "distortion_coefficients", "distortion", "distortion_coeffs"),
-    *("dist_coeffs", "dist_coeff", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
-)
 _WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
 _NAMED = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_DISTORTION = re.compile(r"d|dist(?!ance).*|coef.*")
+"""Names of distortion, in lower case: the libraries of cameras write dist, distCoeffs, D, …"""
+_BENT = re.compile(r"fish|equi|kannala|omni(?!vision)|\bmei\b|scaramuzza|double.?sphere|ftheta")
+"""Lenses that bend the image also where all of their coefficients are 0."""
+_STRAIGHT = re.compile(r"none|pinhole|plumb|rational|brown|rad|opencv|perspective|thin.?prism")
+"""Distortion models that are a pinhole where all of their coefficients are 0."""
 _OPENCV_MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "radtan", "opencv")
 SMALLEST_DISTORTION = 1e-6
 LENSES = (
@@ -176,59 +179,99 @@ def _of_matrix(matrix: Array, by_columns: bool, path: Path) -> tuple[float, floa
     return tuple(float(v) for v in matrix[[0, 1, 0, 1], [0, 1, 2, 2]])  # type: ignore[return-value]
 
 
-def _is_numeric(value: Any) -> bool:
-    """Whether a value is a number."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _floats(value: Any) -> list[float]:
+    """Numbers in any nesting of lists and mappings, in their order."""
+    found, waiting = [], [value]
+    while waiting:
+        each = waiting.pop()
+        if isinstance(each, Mapping):
+            # OpenCV's and ROS's mappings of a matrix also have its size.
+            inner = [value for key, value in each.items() if key not in ("rows", "cols")]
+            waiting += [each["data"]] if "data" in each else inner[::-1]
+        elif isinstance(each, list | tuple):
+            waiting += each[::-1]
+        elif isinstance(each, int | float | str) and not isinstance(each, bool):
+            try:
+                found.append(float(each))
+            except OverflowError:
+                found.append(np.inf)
+            except ValueError:
+                continue  # a name of a model
+    return found
+
+
+def _distortion(data: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Distortion coefficients by their name in the file; empty if all are 0."""
+    found = {}
+    for name, value in data.items():
+        numbers, low = _floats(value), str(name).lower()
+        # Stereo calibrations call whole matrices K1 and P1.
+        named = low in _NAMED and len(numbers) == 1
+        if (named or _DISTORTION.fullmatch(low)) and not (
+            np.abs(numbers).max(initial=0.0) <= SMALLEST_DISTORTION
+        ):
+            found[str(name)] = numbers
+    return found
+
+
+def _model(data: Mapping[str, Any], path: Path) -> str:
+    """The distortion model that a file names; "" for none.
+
+    Raises:
+        InputError: One that is no pinhole even where its coefficients are 0.
+    """
+    lens = data.get("distortion")
+    inner = lens if isinstance(lens, Mapping) else {"model": lens}
+    names = [data.get("distortion_model"), inner.get("model"), inner.get("type")]
+    told = [str(each) for each in names if each and not _floats(each)]
+    about = [str(data[key]) for key in ("model", "camera_model") if data.get(key)]
+    for name in (*told, *about):
+        # `model` may also name the camera itself.
+        if _BENT.search(name.lower()) or (name in told and not _STRAIGHT.search(name.lower())):
+            raise InputError(
+                f"has the distortion model {name}, which is no pinhole",
+                where=path,
+                allowed="models " + ", ".join(("pinhole", *_OPENCV_MODELS)),
+                hint="rectify the images first, and give the rectified K",
+            )
+    return next(iter(told or about), "")
 
 
 def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
-    for key in _DISTORTION:
-        value = data.get(key)
-        if isinstance(value, Mapping):
-            value = value.get("data", [each for each in value.values() if _is_numeric(each)])
-        if value is None:
-            continue
-        try:
-            largest = float(np.abs(np.asarray(value, dtype=np.float64)).max(initial=0.0))
-        except (TypeError, ValueError, OverflowError):
-            continue  # a name of a model, not its numbers
-        if not largest <= SMALLEST_DISTORTION:
-            raise InputError(
-                f"`{key}` gives the camera distortion (up to {largest:g}), but a pinhole camera is "
-                "needed",
-                where=path,
-                allowed="all distortion coefficients 0",
-                hint="rectify the depth image first (ROS: depth_image_proc or image_proc; OpenCV: "
-                "initUndistortRectifyMap with nearest-neighbour remap) and give the rectified K. "
-                "RealSense depth images are rectified already: their own coefficients are 0",
-            )
+    for key, values in _distortion(data).items():
+        raise InputError(
+            f"`{key}` gives the camera distortion (up to {np.abs(values).max():g}), but a pinhole "
+            "camera is needed",
+            where=path,
+            allowed="all distortion coefficients 0",
+            hint="rectify the depth image first (ROS: depth_image_proc or image_proc; OpenCV: "
+            "initUndistortRectifyMap with nearest-neighbour remap) and give the rectified K. "
+            "RealSense depth images are rectified already: their own coefficients are 0",
+        )
+    _model(data, path)
 
 
 def _coefficients(data: Mapping[str, Any], path: Path) -> tuple[float, ...]:
     """OpenCV's distortion coefficients; none if all are zero."""
-    try:
-        if any(name in data for name in _NAMED):
-            found = np.array([float(data.get(name, 0.0)) for name in _NAMED])
-        else:
-            given = next((data[key] for key in _DISTORTION if data.get(key) is not None), ())
-            given = given.get("data") if isinstance(given, Mapping) else given
-            found = np.asarray(given, dtype=np.float64).ravel()
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            "has distortion coefficients that are not numbers", where=path, allowed=LENSES
-        ) from error
-    if np.abs(found).max(initial=0.0) <= SMALLEST_DISTORTION:
+    model, given = _model(data, path), _distortion(data)
+    if not given:
         return ()
-    model = data.get("distortion_model") or data.get("model") or "plumb_bob"
-    known = str(model).lower().removeprefix("distortion.") in _OPENCV_MODELS
+    found = next(iter(given.values()))
+    inner = [value for value in data.values() if isinstance(value, Mapping)]
+    for mapping in (data, *inner):
+        low = {str(name).lower(): value for name, value in mapping.items()}
+        if any(name in low for name in _NAMED):
+            found = [each for name in _NAMED for each in _floats(low.get(name, 0.0))]
+            break
+    known = (model or "plumb_bob").lower().removeprefix("distortion.") in _OPENCV_MODELS
     if not known or len(found) not in (4, 5, 8) or not np.isfinite(found).all():
         raise InputError(
-            f"has {len(found)} distortion coefficients of the model {model}",
+            f"has {len(found)} distortion coefficients of the model {model or 'plumb_bob'}",
             where=path,
             allowed=LENSES,
             hint="rectify the images first, and give the rectified K",
         )
-    return tuple(found.tolist())
+    return tuple(found)
 
 
 def _whole(value: Any, path: Path) -> int:
