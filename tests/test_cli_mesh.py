@@ -275,3 +275,14 @@ def test_what_cannot_be_cut_out_is_one_message(
     assert code == 2
     assert told in err
     assert not (tmp_path / "m.ply").exists()
+
+
+def test_a_mesh_that_misses_its_cloud_is_said(full: Path, tmp_path: Path) -> None:
+    # The full network's box is 1.6 times as large as the cloud on each side.
+    for options in ((), ("--each", "--jobs", 1)):
+        out = tmp_path / ("meshes" if options else "mesh.ply")
+        code, told, err = mesh(saved(tmp_path), full, "--out", out, *options, quiet=False)
+        assert code == 0
+        assert "warning: the reconstruction misses" in told + err
+    (one,) = json.loads((tmp_path / "meshes/cloud.json").read_text())["warnings"]
+    assert "another frame" in one

@@ -209,6 +209,7 @@ def test_a_mesh_is_closed_and_where_the_cloud_is(server: Server) -> None:
     made = tree_of_npz(answer.content, "answer")
     mesh = trimesh.Trimesh(made["vertices"], made["faces"])
     assert mesh.is_watertight
+    assert not made["warnings"]
     far = np.linalg.norm(mesh.vertices.mean(axis=0) - cloud.points.mean(axis=0))
     assert far < 0.1
 

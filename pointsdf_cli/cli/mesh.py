@@ -154,7 +154,7 @@ def mesh(
         meshes = {name: asdict(summary) for name, summary in report.made.items()}
         lines = [
             f"{out / name}.{suffix}: {made.vertices} vertices, {made.faces} faces, "
-            f"{made.seconds:.2f} s"
+            f"{made.seconds:.2f} s" + "".join(f"; warning: {each}" for each in made.warnings)
             for name, made in report.made.items()
         ]
         reporter.finish(report, out, skip_bad, {"meshes": meshes}, lines)
@@ -202,6 +202,7 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
     model = load_model(settings.checkpoint, common.torch_device(settings.device))
     completed = complete_mesh(model, seen, settings.choices, str(cloud))
     made = completed.mesh
+    reporter.say(*(f"warning: {sentence}" for sentence in completed.warnings))
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[unit]
     save_mesh(task.out, vertices, made.faces)
     if picture:
@@ -223,6 +224,7 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
         "parts_dropped": made.parts_dropped,
         "queries": made.queries,
         "seconds": completed.seconds,
+        "warnings": completed.warnings,
     }
     reporter.result(values, _lines(values))
 

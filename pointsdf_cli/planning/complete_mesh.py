@@ -14,7 +14,11 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView
+from pointsdf_cli.planning.target import missed_points
 from pointsdf_cli.training.precision import autocast_dtype
+
+MOST_FACES = 200_000
+"""Largest number of faces whose distances from the seen points are compared."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +29,13 @@ class CompletedMesh:
         mesh: The mesh, camera frame, m.
         reconstruction: Reconstruction with the mesh's field.
         seconds: Duration of the computation [s].
+        warnings: Sentences about a mesh that lacks many of the seen points.
     """
 
     mesh: ReconstructedMesh
     reconstruction: Reconstruction
     seconds: float
+    warnings: tuple[str, ...] = ()
 
 
 def complete_mesh(
@@ -60,4 +66,15 @@ def complete_mesh(
         nothing = "the network sees nothing solid in this cloud, so there is no mesh"
         hint = "check that the cloud shows one object, in metres, in the camera's frame"
         raise EmptySurfaceError(nothing, where=name, hint=hint) from error
-    return CompletedMesh(made, reconstruction, time.perf_counter() - started)
+    return CompletedMesh(made, reconstruction, time.perf_counter() - started, _missed(made, view))
+
+
+def _missed(made: ReconstructedMesh, view: ObjectView) -> tuple[str, ...]:
+    """A warning if the mesh lacks many of the seen points."""
+    # Vertices of coarse meshes lie far apart; of fine ones, some of the faces are enough.
+    faces = made.faces[:: 1 + len(made.faces) // MOST_FACES]
+    centres = made.vertices[faces].mean(axis=1)
+    return tuple(
+        f"{sentence}, and for clouds of another frame than the camera's"
+        for sentence in missed_points((centres, faces), view.points)
+    )

@@ -52,6 +52,7 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
         "parts_dropped": made.parts_dropped,
         "queries": made.queries,
         "seconds": completed.seconds,
+        "warnings": completed.warnings,
     }
     return (tree_to_npz(answer), NPZ) if form == NPZ else (to_json(answer).encode(), JSON)
 

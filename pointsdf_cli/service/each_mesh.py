@@ -69,11 +69,13 @@ class MeshSummary:
     Attributes:
         vertices, faces: Numbers of them.
         seconds: Duration of the computation [s].
+        warnings: Sentences about a mesh that lacks many of the seen points.
     """
 
     vertices: int
     faces: int
     seconds: float
+    warnings: tuple[str, ...]
 
 
 def mesh_cloud(task: MeshTask) -> MeshSummary | None:
@@ -98,7 +100,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
         completed = resident.mesh(seen, settings.choices, str(task.cloud))
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
-    summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)
+    summary = MeshSummary(len(vertices), len(made.faces), completed.seconds, completed.warnings)
     with atomic_path(task.out) as temporary:
         save_mesh(temporary, vertices, made.faces)
         told = {"config": config, "sha256": file_sha256(temporary), **asdict(summary)}
