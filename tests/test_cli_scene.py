@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 from scipy.ndimage import binary_erosion
 
-from pointsdf_cli.camera.scene_file import SceneFileOptions
+from pointsdf_cli.camera.depth_cloud import cloud_of_depth
+from pointsdf_cli.camera.scene_file import SceneFileOptions, masked, read_view
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.depth_images import read_mask
@@ -62,6 +63,30 @@ def test_a_pose_from_the_table_puts_the_object_in_reach(cli: Callable, scene: li
     assert np.linalg.norm(apart) == pytest.approx(0.24, abs=0.02)
     done = cli("segment", *scene, "--camera-pose", "table", "--picture", scene[0].parent / "t.png")
     assert "Only for trying out" in done.err
+
+
+@pytest.mark.parametrize("organised", [True, False])
+def test_a_mask_applies_to_arrays_of_points(cli: Callable, tmp_path: Path, organised: bool) -> None:
+    depth = scenes.seen(scenes.can(0.035, 0.12, CAN))
+    cloud = cloud_of_depth(depth, scenes.CAMERA)
+    assert cloud.pixels is not None
+    u, v = cloud.pixels.astype(int).T
+    points = np.full((480, 640, 3), np.nan)
+    points[v, u] = cloud.points
+    Image.fromarray((np.arange(640) < u.mean()) & (depth > 0)).save(tmp_path / "mask.png")
+    np.save(tmp_path / "cloud.npy", points if organised else cloud.points)
+    K, path = str(tmp_path / "K.json"), tmp_path / "cloud.npy"
+    Path(K).write_text(json.dumps(scenes.CAMERA.K.tolist()))
+    reading = SceneFileOptions(K, mask=str(tmp_path / "mask.png"), drop_invalid=True)
+    left = masked(read_view(path, reading)).points
+    assert len(left) == np.count_nonzero(u < u.mean())
+    np.save(path, cloud.points.T)
+    with pytest.raises(InputError, match="transposed"):
+        read_view(path, reading)
+    np.save(path, points)
+    done = cli("cloud", path, "--intrinsics", K, "--out", tmp_path / "o.ply")
+    assert done.code == 2
+    assert "a cloud already" in done.err
 
 
 @pytest.mark.parametrize("pose", ["table", "T.json"])

@@ -17,6 +17,7 @@ from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rigid
+from pointsdf_cli.io.cloud_text import holds_points
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, Cloud, read_cloud
 from pointsdf_cli.io.depth_images import (
     DEPTH_SUFFIXES,
@@ -103,11 +104,12 @@ def options_of_views(
 
 
 def is_depth_image(path: Path, intrinsics: str | None) -> bool:
-    """Whether a file is read as a depth image: by its suffix; NPY files if intrinsics are given."""
+    """Whether a file is read as a depth image: by its suffix; NPY files of one number a pixel if
+    intrinsics are given."""
     suffix = path.suffix.lower()
-    if suffix in CLOUD_SUFFIXES:
-        return suffix in DEPTH_SUFFIXES and intrinsics is not None
-    return suffix in DEPTH_SUFFIXES or suffix in (".jpg", ".jpeg", ".bmp")
+    if suffix not in CLOUD_SUFFIXES:
+        return suffix in DEPTH_SUFFIXES or suffix in (".jpg", ".jpeg", ".bmp")
+    return suffix in DEPTH_SUFFIXES and intrinsics is not None and not holds_points(path)
 
 
 def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | None = None) -> Cloud:

@@ -112,6 +112,7 @@ def cloud(
 
 
 def _require_depth_image(path: Path, intrinsics: str | None) -> None:
+    from pointsdf_cli.io.cloud_text import holds_points
     from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
 
     if intrinsics is None:
@@ -120,6 +121,9 @@ def _require_depth_image(path: Path, intrinsics: str | None) -> None:
     if path.suffix.lower() not in DEPTH_SUFFIXES:
         allowed = ", ".join(DEPTH_SUFFIXES)
         raise InputError(f"{path.suffix!r} is not a depth image", where=path, allowed=allowed)
+    if path.suffix.lower() == ".npy" and holds_points(path):
+        hint = "it is a cloud already: rgrasp mesh and plan read it"
+        raise InputError("holds points, no depth image", where=path, hint=hint)
 
 
 def _cloud_of_image(

@@ -24,6 +24,10 @@ from pointsdf_cli.io.untrusted import read_npy_array
 MOST_COLUMNS = 16
 """A row of more numbers is a row of an image, and no point."""
 
+MOST_BESIDE, A_ROW = 6, 50
+"""An array of at most so many numbers on one side and at least so many on the other holds points:
+no depth image is that narrow."""
+
 _HEAD_LINES = 100
 """Largest number of comment and title lines."""
 _LONGEST_LINE = 1 << 20
@@ -84,6 +88,18 @@ def read_xyz(path: Path) -> RawCloud:
     return _from_table(table, comments, path)
 
 
+def holds_points(path: Path) -> bool:
+    """Whether an NPY file has the shape of points (a point a row, a column or a pixel), not that of
+    a depth image; False for one that cannot be read."""
+    try:
+        shape = read_npy_array(path, "cloud").shape
+    except InputError:
+        return False
+    if len(shape) == 2:
+        return min(shape) <= MOST_BESIDE and max(shape) >= A_ROW
+    return len(shape) == 3 and shape[2] > 1
+
+
 def read_npy(path: Path) -> RawCloud:
     """An array [N, 3], [N, 6] or an image of points [height, width, 3].
 
@@ -93,7 +109,7 @@ def read_npy(path: Path) -> RawCloud:
     array = read_npy_array(path, "cloud")
     wrong, hint = "", None
     columns = array.shape[-1] if array.ndim else 0
-    if array.ndim == 2 and columns > MOST_COLUMNS and len(array) in (3, 6):
+    if array.ndim == 2 and columns > MOST_COLUMNS and len(array) <= MOST_BESIDE:
         wrong, hint = ": a point a column", "store it transposed"
     elif array.ndim == 2 and columns > MOST_COLUMNS:
         wrong = ": a depth image rather than points"
