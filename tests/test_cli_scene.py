@@ -15,6 +15,7 @@ from scipy.ndimage import binary_erosion
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.scene_file import SceneFileOptions, masked, read_view
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.depth_images import read_mask
 from pointsdf_cli.planning.list_objects import list_objects
@@ -265,6 +266,17 @@ def test_cloud_and_depth_image_show_the_same_object(cli: Callable, scene: list[A
     posed = cli("cloud", *scene, "--camera-pose", folder / "T.json", "--out", out, "--force")
     assert posed.code == 0
     assert np.allclose(read_cloud(out).T_world_camera, scenes.POSE)
+
+
+def test_a_world_cloud_on_its_table_is_meshed_in_the_world(tmp_path: Path) -> None:
+    seen = scenes.cloud(scenes.seen(scenes.table(), scenes.can(0.035, 0.12, CAN)))
+    world = Cloud(apply_transform(scenes.POSE, seen.points), None, None, "world", scenes.POSE)
+    write_cloud(tmp_path / "world.ply", world)
+    view = segmented_view(tmp_path / "world.ply", SceneFileOptions(), "table", None, None, None)
+    assert view.frame == "world"
+    there = apply_transform(view.T_frame_camera, view.points)
+    assert there.mean(axis=0)[:2] == pytest.approx(CAN, abs=0.04)
+    assert there[:, 2].max() == pytest.approx(0.12, abs=0.01)
 
 
 def test_mesh_of_a_depth_image_needs_no_pose(cli: Callable, scene: list[Any]) -> None:

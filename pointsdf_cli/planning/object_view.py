@@ -240,7 +240,8 @@ def segmented_view(
     with as_input_error(kind=NoObjectError):
         given = read_scene([path], [] if pose is None else [pose], [files], target, around, cleaned)
     cut = segmented_cloud(given.clouds[0], str(path), described, given.target, around, cleaned, q)
-    return replace(cut, said=(*given.notes, *cut.said))
+    said, back = (*given.notes, *cut.said), given.T_frame_camera
+    return replace(cut, said=said, frame=given.frame, T_frame_camera=back)
 
 
 def segmented_cloud(

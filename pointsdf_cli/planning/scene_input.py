@@ -42,11 +42,15 @@ class SceneInput:
         clouds: Clouds, one for each camera.
         target: The user's choice of the object; None without one.
         notes: Sentences for the user.
+        frame, T_frame_camera: Frame of the first file's coordinates, and the camera in it [4, 4];
+            the pose `table` leaves the points in the camera's frame.
     """
 
     clouds: tuple[Cloud, ...]
     target: TargetChoice | None
     notes: tuple[str, ...]
+    frame: str
+    T_frame_camera: Array
 
 
 def parse_target(text: str | None) -> TargetChoice | None:
@@ -98,12 +102,15 @@ def read_scene(
         raise InputError("table, with several cameras", where="--camera-pose", allowed=one)
     wanted = parse_target(target)
     clouds, notes = [], []
+    frame, T_frame_camera = "camera", np.eye(4)
     for k, (path, option) in enumerate(zip(paths, options, strict=True)):
         place = places[k] if poses else None
         pose = camera_pose(poses[k]) if poses and place is None else None
         cloud = read_view(path, option, pose)
         if k == 0:
             _require_pixel_within(wanted, cloud)
+            if cloud.frame == "world" and cloud.T_world_camera is not None:
+                frame, T_frame_camera = "world", cloud.T_world_camera
         notes += [f"{path}: {note}" for note in cloud.notes]
         if len(cloud.points) > MANY:
             side = f"{VOXEL * 1000:g} mm"
@@ -114,7 +121,7 @@ def read_scene(
         else:
             require_no_mistaken_pose(cloud, str(path))
         clouds.append(cloud)
-    return SceneInput(tuple(clouds), wanted, tuple(notes))
+    return SceneInput(tuple(clouds), wanted, tuple(notes), frame, T_frame_camera)
 
 
 def _require_pixel_within(target: TargetChoice | None, cloud: Cloud) -> None:
