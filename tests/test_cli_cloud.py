@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -15,6 +17,7 @@ from PIL import Image
 from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
+from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.clouds import read_cloud
@@ -98,6 +101,23 @@ def test_every_form_of_intrinsics_is_the_same_camera(tmp_path: Path, name: str) 
         assert read_intrinsics(str(tmp_path / name), WIDTH, HEIGHT) == camera
 
 
+@pytest.mark.parametrize("bent", [False, True])
+def test_a_file_of_opencv_is_read(tmp_path: Path, bent: bool) -> None:
+    path = tmp_path / "K.yaml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", WIDTH)
+    storage.write("camera_matrix", np.array(K, dtype=float))
+    storage.write("distortion_coefficients", np.array([[0.2 * bent, 0, 0, 0, 0]]))
+    storage.release()
+    head = "%YAML:1.0" if bent else "%YAML 1.2"  # OpenCV 4's and 5's
+    path.write_text("\n".join([head, *path.read_text().splitlines()[1:]]))
+    if bent:
+        with pytest.raises(InputError, match="camera distortion"):
+            read_intrinsics(str(path), WIDTH, HEIGHT)
+    else:
+        assert read_intrinsics(str(path), WIDTH, HEIGHT) == Camera(WIDTH, HEIGHT, FX, FY, CX, CY)
+
+
 WRONG: dict[str, tuple[Any, str]] = {
     "bent.json": ({"K": K, "D": [0.1, -0.2, 0, 0, 0], **SIZE}, "camera distortion"),
     "size.json": ({"K": K, "width": 640, "height": 480}, "640 × 480"),
@@ -178,6 +198,25 @@ def test_typed_intrinsics_are_one_message(folder: Path, cli: Callable) -> None:
         done = cli("cloud", folder / "depth.png", "--intrinsics", wrong, "--out", folder / "o.ply")
         assert done.code == 2
         assert "no such intrinsics" in done.err
+
+
+def test_negative_depths_and_huge_images_are_one_message(tmp_path: Path) -> None:
+    np.save(tmp_path / "d.npy", [[0.0, -1.0]])
+    with pytest.raises(InputError, match="negative") as told:
+        read_depth(tmp_path / "d.npy")
+    assert "OpenGL" in str(told.value.hint)
+    Image.new("1", (10_000, 10_000)).save(tmp_path / "d.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match="10000 × 10000"):
+            read_depth(tmp_path / "d.png")
+
+
+def test_an_unknown_suffix_beside_intrinsics_names_depth_images(tmp_path: Path) -> None:
+    (tmp_path / "d.exr").write_bytes(b"v/1")
+    with pytest.raises(InputError, match="depth images") as told:
+        read_view(tmp_path / "d.exr", SceneFileOptions("kinect2"))
+    assert ".png" in str(told.value.allowed)
 
 
 def test_what_is_no_depth_image_is_refused(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from pointsdf_cli.io.depth_images import (
     read_depth,
     read_mask,
 )
+from pointsdf_cli.io.input_files import require_suffix
 from pointsdf_cli.io.provenance import file_sha256
 
 
@@ -127,6 +128,9 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
         raise InputError("is a folder", where=path, allowed="a depth image or a cloud")
     if is_depth_image(path, options.intrinsics):
         return _read_depth_view(path, options, T_world_camera)
+    if options.intrinsics is not None:
+        known = dict.fromkeys((*DEPTH_SUFFIXES, *CLOUD_SUFFIXES))
+        require_suffix(path, known, "format of depth images and clouds")
     of_images = {"--depth-scale": options.depth_scale, "--color": options.colour}
     for option, value in of_images.items():
         if value is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,7 +32,8 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
         scale: Metres a unit. None takes 0.001 (millimetres) for whole numbers, 1 for others.
 
     Raises:
-        InputError: No such file, no depth image, or a scale that is not positive.
+        InputError: No such file, no depth image, negative depths only, or a scale that is not
+            positive.
     """
     path = Path(path)
     if scale is not None and not 1e-6 <= scale <= 10:
@@ -52,6 +54,13 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
         )
     whole = values.dtype.kind in "ui"
     depth = values.astype(np.float64) * (scale if scale is not None else 0.001 if whole else 1.0)
+    if not (depth > 0).any() and (depth < 0).any():
+        raise InputError(
+            "has negative depths only",
+            where=path,
+            allowed="positive depths along z, as of a camera that looks along +z",
+            hint="negate them: OpenGL's cameras look along −z",
+        )
     return np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
 
 
@@ -186,14 +195,19 @@ def open_image(path: Path) -> Iterator[Image.Image]:
             is read.
     """
     try:
-        image = Image.open(io.BytesIO(read_input(path, "image")))
+        with warnings.catch_warnings():  # of sizes that are refused below
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(read_input(path, "image")))
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
         raise InputError("is not an image, or damaged", where=path) from error
     except Image.DecompressionBombError as error:
         raise InputError("is far too large for a camera's image", where=path) from error
     with image:
         if image.width * image.height > LARGEST_PIXELS:
-            raise InputError(f"has {image.width} × {image.height} pixels", where=path)
+            what = f"has {image.width} × {image.height} pixels"
+            raise InputError(
+                what, where=path, allowed=f"at most {LARGEST_PIXELS // 1_000_000} million pixels"
+            )
         try:
             yield image
         except (OSError, ValueError, SyntaxError) as error:

@@ -7,6 +7,7 @@ by entities of entities, by a thousand brackets. Each reader here refuses that i
 from __future__ import annotations
 
 import json
+import re
 import tokenize
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -30,7 +31,7 @@ NPY_ERRORS = (
 
 
 def read_yaml(path: Path, first_document: bool = False) -> Any:
-    """The plain data of a YAML file.
+    """The plain data of a YAML file, or of one that OpenCV wrote.
 
     Args:
         path: The file.
@@ -41,6 +42,9 @@ def read_yaml(path: Path, first_document: bool = False) -> Any:
             once its aliases are followed.
     """
     text = _text(path, "YAML", "YAML")
+    if text.startswith("%YAML"):
+        # OpenCV has tags of its own, and its releases before 5 begin with `%YAML:1.0`.
+        text = re.sub(r"!!opencv-[a-z-]+", "", text.replace("%YAML:", "%YAML ", 1))
     try:
         loader = yaml.SafeLoader(text)
         if first_document:
