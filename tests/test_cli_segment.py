@@ -28,6 +28,16 @@ def test_three_things_stand_on_the_bundled_table(cli: Any, tmp_path: Path) -> No
     assert np.asarray(Image.open(picture)).std() > 1
 
 
+def test_an_object_that_a_small_workspace_cuts_is_told(cli: Any, tmp_path: Path) -> None:
+    depth = scenes.seen(scenes.table(), scenes.box((0.06, 0.4, 0.12), (0.6, 0.0)))
+    files = [str(each) for each in scenes.write_scene(tmp_path, depth)]
+    files += ["--camera-pose", str(tmp_path / "T.json")]
+    small = ["--workspace", "0.2,-0.05,-0.05,1.6,0.9,0.6"]
+    result = cli("segment", *files, *small, "--picture", str(tmp_path / "picture.png"))
+    assert result.code == 0, result.err
+    assert "object 1 goes on outside of the workspace" in result.err + result.out
+
+
 def test_a_number_that_is_not_there_is_refused_with_those_that_are(
     cli: Any, tmp_path: Path
 ) -> None:

@@ -135,3 +135,20 @@ def test_impossible_workspace_is_refused() -> None:
         SegmentationConfig(low=(1.0, 0.0, 0.0), high=(0.5, 1.0, 1.0))
     with pytest.raises(InputError):
         SegmentationConfig(low=(0.2, 0.9, 0.0), high=(1.0, -0.9, 0.5))
+
+
+@pytest.mark.parametrize(("border", "cut"), [(0.13, False), (0.08, True)])
+def test_an_object_that_the_workspace_cuts_goes_on_outside_of_it(border: float, cut: bool) -> None:
+    rng = np.random.default_rng(6)
+    things = [box(rng, (0.6, y, 0.05), 0.1) for y in (0.1, 0.16, 0.6)]
+    cloud = np.concatenate([table(rng), *things])
+    workspace = SegmentationConfig(low=(0.3, -0.5, -0.05), high=(1.0, border, 0.5))
+    found = segment_table(cloud, CAMERA, workspace)
+    assert found.count == 1
+    long = cloud[60_000:66_000]
+    near = (long[:, 2] > 0.02) & (long[:, 1] < border + 0.1)
+    assert (found.label[60_000:66_000][near] == 0).all()
+    assert (found.label[cloud[:, 1] > border + 0.1] == OUTSIDE).all()
+    assert not (found.label[:60_000] == 0).any()  # the table stays the table
+    assert (found.label[-3000:] == OUTSIDE).all()  # nothing joins this one to it
+    assert bool(found.cut) == cut

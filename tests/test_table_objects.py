@@ -95,6 +95,17 @@ def test_the_parts_of_the_report_add_up() -> None:
     assert kept + sum(dropped) == total == len(scene.cloud.points)
 
 
+def test_an_object_cut_by_a_small_workspace_is_said_to_go_on() -> None:
+    long = scenes.box((0.06, 0.4, 0.12), (0.6, 0.0))
+    view = scenes.cloud(scenes.seen(scenes.table(), long))
+    small = replace(WORKSPACE, low=(0.2, -0.05, -0.05))
+    for workspace, told in ((small, True), (WORKSPACE, False)):
+        scene = label_view(view, "a", workspace)
+        first = scene.listed[0]
+        said = describe(scene, first, sighting(scene, first))
+        assert ("widen --workspace" in said) == told
+
+
 def test_the_middle_of_the_image_is_meant_and_not_the_largest() -> None:
     large = scenes.box((0.12, 0.12, 0.2), (0.6, 0.3))
     scene = labelled(large, scenes.can(0.03, 0.08, (0.6, 0.0)))

@@ -40,6 +40,8 @@ FLOATING = 0.03
 BRIDGE = 0.05
 """Largest distance [m] from a floating part to the object that it is joined to: the camera did not
 see their connection."""
+BEYOND = 0.1
+"""Distance [m] to which an object that the workspace cuts goes on outside of it: a hand's width."""
 FLATTEST = 0.008
 """Least height of an object [m]; lower groups are unevenness of the table."""
 
@@ -52,11 +54,13 @@ class TableObjects:
         label: i8 [N], the object of each point, or OUTSIDE, TABLE, LOOSE.
         plane: [4], (unit normal, offset) of the table in the world; None if none was seen.
         unsplit: Objects that look like several in contact but could not be separated.
+        cut: Objects that go on farther outside of the workspace than they are followed.
     """
 
     label: NDArray[np.int64]
     plane: Array | None
     unsplit: frozenset[int] = frozenset()
+    cut: frozenset[int] = frozenset()
 
     @property
     def count(self) -> int:
@@ -69,6 +73,8 @@ def segment_table(
 ) -> TableObjects:
     """Crop to the workspace, remove the table, and group the remaining points.
 
+    Objects that the border of the workspace cuts go on outside of it, up to `BEYOND`.
+
     Args:
         points: [N, 3], world, m, one a voxel of a few millimetres; finite.
         camera: [3], position of the camera in the world, m.
@@ -79,13 +85,7 @@ def segment_table(
     index = np.flatnonzero(strictly_inside(points, workspace.low, workspace.high))
     inside = points[index]
     plane = find_table(inside)
-    height = inside[:, 2] if plane is None else inside @ plane[:3] - plane[3]
-    above = np.ones(len(index), dtype=bool)
-    if plane is not None:
-        distance = np.linalg.norm(inside - camera, axis=1)
-        band = np.clip(PLANE_BAND * distance**2, PLANE_BAND, THICKEST_BAND)
-        height = height - table_relief(inside[:, :2], height, band)
-        above = height > band
+    height, above = _over_table(inside, camera, plane)
     label[index[~above]] = TABLE
     low, index, height = index[~above], index[above], height[above]
     if not len(index):
@@ -116,7 +116,62 @@ def segment_table(
         label[index[mine]] = count + parts
         unsplit |= {count + part for part in doubtful}
         count += int(parts.max()) + 1
-    return TableObjects(label, plane, frozenset(unsplit))
+    cut = _follow_outside(label, points, camera, plane, workspace)
+    return TableObjects(label, plane, frozenset(unsplit), cut)
+
+
+def _follow_outside(
+    label: NDArray[np.int64],
+    points: Array,
+    camera: Array,
+    plane: Array | None,
+    workspace: SegmentationConfig,
+) -> frozenset[int]:
+    """Label, in place, points outside of the workspace on objects that its border cuts.
+
+    Otherwise the rest of the object would be free space for the hand.
+
+    Args:
+        label: [N], as found within the workspace.
+        points, camera, plane, workspace: As in `segment_table`; the plane may be None.
+
+    Returns:
+        The objects that go on beyond `BEYOND`.
+    """
+    low, high = np.array(workspace.low), np.array(workspace.high)
+    deep = strictly_inside(points, low + GAP, high - GAP)
+    base = np.flatnonzero((label >= 0) & ~deep)  # no others touch points outside
+    wide, side = np.array([BEYOND] * 3), np.array([1.0, 1.0, 0.0])  # below is the table
+    near = np.flatnonzero(strictly_inside(points, low - wide * side, high + wide))
+    if not len(base) or not (label[near] == OUTSIDE).any():
+        return frozenset()
+    _, above = _over_table(points[near], camera, plane)
+    index = near[above & (label[near] == OUTSIDE)]
+    if not len(index):
+        return frozenset()
+    away, nearest = scipy.spatial.cKDTree(points[base]).query(points[index])
+    group, counts = clusters(points[index], GAP)
+    gap = np.full(len(counts), np.inf)
+    np.minimum.at(gap, group, away)
+    index, owner = index[gap[group] <= GAP], label[base[nearest[gap[group] <= GAP]]]
+    label[index] = owner
+    wide -= GAP
+    past = ~strictly_inside(points[index], low - wide * side, high + wide)
+    return frozenset(owner[past].tolist())
+
+
+def _over_table(
+    points: Array, camera: Array, plane: Array | None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Heights [N] of points over the measured table, and a mask of those that rise above it: of all
+    of them without a plane, over which heights are then z."""
+    if plane is None:
+        return points[:, 2], np.ones(len(points), dtype=bool)
+    distance = np.linalg.norm(points - camera, axis=1)
+    band = np.clip(PLANE_BAND * distance**2, PLANE_BAND, THICKEST_BAND)
+    height = points @ plane[:3] - plane[3]
+    height = height - table_relief(points[:, :2], height, band)
+    return height, height > band
 
 
 def nearest_object(

@@ -141,7 +141,7 @@ def label_view(
     label = np.full(len(world), ROBOT, dtype=np.int64)
     found = segment_table(world[~own], camera, workspace)
     label[~own] = found.label
-    objects = TableObjects(label, found.plane, found.unsplit)
+    objects = TableObjects(label, found.plane, found.unsplit, found.cut)
     mask = cloud.mask
     if mask is not None:
         mask = _to_depth_edge(cloud, mask, thinned.voxel, label)
@@ -266,4 +266,6 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
     said += f"; dropped {', '.join(dropped)}" if dropped else ""
     if item.unsplit:
         said += "; it may be several objects in contact: --mask selects one"
+    if item.label in view.objects.cut:
+        said += "; it goes on outside of the workspace, unseen: widen --workspace"
     return said

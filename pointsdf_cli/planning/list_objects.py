@@ -76,5 +76,10 @@ def list_objects(
     counts = {item.number: int((view.label == item.label).sum()) for item in objects}
     height = table_height([(view, first.label)])
     doubt = "" if cloud.over_table else table_doubt(height, [in_world(cloud)])
-    notes = (*given.notes, *([f"warning: {doubt}"] if doubt else []))
+    said = [f"warning: {doubt}"] * bool(doubt)
+    for item in objects:
+        if item.label in view.objects.cut:
+            beyond = "goes on outside of the workspace, unseen: widen --workspace"
+            said.append(f"warning: object {item.number} {beyond}")
+    notes = (*given.notes, *said)
     return Listing(view, objects, counts, notes)
