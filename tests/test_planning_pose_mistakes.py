@@ -44,6 +44,8 @@ def test_the_right_pose_passes() -> None:
         (invert_transform(POSE), "inverse"),
         (transform(POSE[:3, :3] @ BODY_AXES.T, POSE[:3, 3]), "body"),
         (transform(POSE[:3, :3] @ GRAPHICS_AXES.T, POSE[:3, 3]), "graphics"),
+        (transform(POSE[:3, :3] @ np.diag([-1, -1, 1]), POSE[:3, 3]), "upside down"),
+        (transform(POSE[:3, :3].T, POSE[:3, 3]), "transposed"),
     ],
 )
 def test_a_mistaken_convention_is_named_and_the_pose_to_type_is_right(
@@ -73,3 +75,20 @@ def test_a_camera_in_millimetres_is_refused() -> None:
     ):
         camera_pose("500,0,300,1,0,0,0")
     assert camera_pose("0.5,0,0.3,1,0,0,0")[2, 3] == 0.3
+
+
+def test_an_inverted_pose_of_points_in_the_world_is_refused() -> None:
+    world = np.concatenate([TABLE, THINGS])
+    scene = Cloud(world, frame="world", T_world_camera=invert_transform(POSE))
+    with pytest.raises(InputError, match="inverse faces them") as caught:
+        require_no_mistaken_pose(scene, "cloud.ply")
+    typed = camera_pose(str(caught.value.hint).removeprefix("--camera-pose "))
+    np.testing.assert_allclose(typed, POSE, atol=1e-4)
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), BODY_AXES.T, GRAPHICS_AXES, POSE[:3, :3].T])
+def test_a_right_eye_of_points_in_the_world_passes(axes: np.ndarray) -> None:
+    # A PCD's VIEWPOINT often has the eye alone, or axes of another convention.
+    for pose in (transform(POSE[:3, :3] @ axes, POSE[:3, 3]), transform(axes, POSE[:3, 3])):
+        for world in (np.concatenate([TABLE, THINGS]), THINGS, THINGS[: len(THINGS) // 2]):
+            require_no_mistaken_pose(Cloud(world, frame="world", T_world_camera=pose), "a.pcd")
