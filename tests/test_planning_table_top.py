@@ -337,3 +337,11 @@ def test_a_group_that_joins_the_object_to_another_is_no_obstacle_there() -> None
     left = view.world[view.objects.label >= 0]
     assert left[:, 1].min() > -0.001
     np.testing.assert_allclose(left.max(axis=0), np.array(TWINS[1]) + [0.04, 0.04, 0.05], atol=0.01)
+
+
+def test_an_object_of_very_many_points_is_thinned() -> None:
+    rng = np.random.default_rng(0)
+    many = rng.uniform((0.5, -0.1, 0.05), (0.7, 0.1, 0.055), (120_000, 3))
+    seen = look_at_table([cloud(np.concatenate([TABLE, many]))], ["a"], ROBOT, HOME, cleaned=False)
+    assert 1000 < len(seen.views[0].points) < 30_000
+    assert "kept 12" in seen.report[0]

@@ -227,7 +227,12 @@ def view_of(view: LabelledView, seen: Sighting) -> View:
     plane, depth = view.plane_in_camera(), view.cloud.image
     pitch = None if depth is None else 1.0 / float(depth.K[0, 0])
     image = visibility_image(seen.object_points, seen.other_points, plane, pitch, seen.object_rays)
-    return View(seen.object_points, view.T_world_camera, ViewEvidence(image, plane))
+    return View(_thinned(seen.object_points), view.T_world_camera, ViewEvidence(image, plane))
+
+
+def _thinned(points: Array) -> Array:
+    """Points [N, 3] of one object, thinned if they are so many that planning would take minutes."""
+    return points if len(points) <= DENSE else points[thin(points, VOXEL).first]
 
 
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:
@@ -259,8 +264,7 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
     """
     points, _ = cloud.in_camera_frame()
     said = []
-    if len(points) > DENSE:
-        few = points[thin(points, VOXEL).first]
+    if len(few := _thinned(points)) < len(points):
         said.append(f"{len(points)} points thinned to {len(few)}")
         points = few
     if cleaned:
