@@ -154,6 +154,20 @@ def test_points_beside_the_other_cameras_window_were_not_seen_past() -> None:
     assert "100%" in seen_through([one, View(within, np.eye(4))])
 
 
+def test_a_large_plane_that_is_no_table_is_refused() -> None:
+    scene = np.concatenate([TABLE, THINGS])
+    in_camera = apply_transform(invert_transform(POSE), scene)  # called --frame world
+    steep = look_at((1.2, 0.0, 0.9), (0.6, 0.0, 0.0))
+    rolled = apply_transform(steep, apply_transform(invert_transform(steep), scene) * [-1, -1, 1])
+    for world in (in_camera, rolled):
+        with pytest.raises(InputError, match=r"(?s)tilted by \d+°, and no level table.*--frame"):
+            require_table_at_zero([world], ["a"])
+    wall = sheet((1.2, 0.0, 0.5), (0.0, 0.6, 0.45))
+    table = sheet((0.9, 0.0, 0.0), (0.1, 0.1, 0.0))  # too little of it to be found
+    require_table_at_zero([np.concatenate([wall, table, BOX + [0.3, 0, 0]])], ["a"])
+    require_table_at_zero([BOX], ["a"])
+
+
 @pytest.mark.parametrize(
     ("tilt", "off", "said"),
     [

@@ -60,7 +60,8 @@ def find_support_plane(points: Array) -> Array:
     for _ in range(PLANES):
         if len(rest) < max(50.0, LEAST_SHARE * len(sample)):
             break
-        found, on_plane = _largest_plane(rest)
+        found, _ = largest_plane(rest)
+        on_plane = np.abs(rest @ found[:3] - found[3]) < band_at(rest)
         if on_plane.sum() < LEAST_SHARE * len(sample):
             break
         if -found[3] > CAMERA_HEIGHT:
@@ -101,8 +102,9 @@ def band_at(points: Array) -> Array:
     return BAND * np.clip(points[:, 2] ** 2, 0.6, 6.0)
 
 
-def _largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """The plane [4] through most points, its normal towards the camera, and a mask of these."""
+def largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """The plane [4] through most points [N, 3], m, in any frame, and a mask [N] of those within
+    `BAND` of it. Its normal points towards the origin: the camera, in its own frame."""
     import open3d as o3d
 
     o3d.utility.random.seed(0)
@@ -112,7 +114,7 @@ def _largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
     plane = np.array([*equation[:3], -equation[3]]) / np.linalg.norm(equation[:3])
     if plane[3] > 0:  # the camera, at the origin, is on the other side
         plane = -plane
-    return plane, np.abs(points @ plane[:3] - plane[3]) < band_at(points)
+    return plane, np.abs(points @ plane[:3] - plane[3]) < BAND
 
 
 def _upright(plane: Array) -> float:

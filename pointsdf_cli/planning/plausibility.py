@@ -12,6 +12,7 @@ from itertools import permutations
 import numpy as np
 
 from pointsdf_cli.camera.segmentation import clusters, find_table
+from pointsdf_cli.camera.support_plane import largest_plane
 from pointsdf_cli.camera.table_objects import OUTSIDE
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
@@ -40,6 +41,12 @@ UNEVEN = 0.005
 """Distance [m] of the table from z = 0 above which a warning is given."""
 MUCH, MOST_BELOW = 0.1, 0.5
 """Share of the points below the table above which the pose is doubted, and is wrong."""
+SLOPE_POINTS, SLOPE_SHARE, SLOPE_REACH = 1000, 0.3, 0.1
+"""Fewest points of a view whose slope is judged; least share of them on a plane; and its least
+extent [m] across, as a standard deviation."""
+WALL, AT_WALL = np.deg2rad(80), 0.01
+"""Steepest tilt at which a plane is no wall, and share of the points near z = 0 from which a wall
+stands behind a scene."""
 THROUGH, MUCH_THROUGH = 0.03, 0.15
 """Distance [m] behind a point to which a camera must see for its ray to have missed the object, and
 share of such points above which the views disagree."""
@@ -76,8 +83,8 @@ def require_table_at_zero(
                 f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong",
                 where=name,
                 allowed="a level table at z = 0",
-                hint="check --depth-scale, --intrinsics, then --camera-pose; if only the pose is "
-                f"unknown: --camera-pose table. If there is no table: {without_table}",
+                hint="check --frame, --depth-scale, --intrinsics, then --camera-pose; if only the "
+                f"pose is unknown: --camera-pose table. If there is no table: {without_table}",
             )
 
 
@@ -89,6 +96,9 @@ def _wrong_table(world: Array) -> str:
         height = table_elsewhere(world)
         if height is not None:
             return f"a table is seen at z = {1000 * height:.0f} mm"
+        slope = _slope(few)
+        if slope is not None:
+            return f"a large plane is seen tilted by {np.rad2deg(slope):.0f}°, and no level table"
         below = float((few[:, 2] < -BELOW).mean())
         return f"{below:.0%} of the points lie below z = 0" if below > MOST_BELOW else ""
     tilt = float(np.arccos(min(plane[2], 1.0)))
@@ -96,6 +106,20 @@ def _wrong_table(world: Array) -> str:
         return f"the table is seen tilted by {np.rad2deg(tilt):.0f}°"
     middle = np.median(few[np.abs(few @ plane[:3] - plane[3]) < BELOW], axis=0)
     return f"a table is seen at z = {1000 * middle[2]:.0f} mm" if abs(middle[2]) > OFF else ""
+
+
+def _slope(world: Array) -> float | None:
+    """Tilt [rad] of the plane that most of the points [N, 3] of a view lie on; None if it is level,
+    too small for a table, or a wall behind what stands on z = 0."""
+    if len(world) < SLOPE_POINTS:
+        return None
+    plane, on_plane = largest_plane(world)
+    tilt = float(np.arccos(min(abs(plane[2]), 1.0)))
+    reach = np.sqrt(np.linalg.eigvalsh(np.cov(world[on_plane].T))[1])
+    if on_plane.mean() < SLOPE_SHARE or reach < SLOPE_REACH or tilt < STEEPEST_TABLE:
+        return None
+    at_zero = float((np.abs(world[:, 2]) < OFF).mean())
+    return None if tilt > WALL and at_zero > AT_WALL else tilt
 
 
 def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
