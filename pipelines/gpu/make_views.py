@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import kernels
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -126,6 +127,10 @@ def make_file(task: Task) -> int:
         rows += [row | sampled(row, task.samplings, rng) for row in made]
         if task.labelled:
             labels.append(label_arrays(mesh, rng) | {"label_object": number})
+            if task.samplings:  # for a processor: it would do this beside the training
+                labels[-1]["label_sdf"] = kernels.signed_distance(
+                    *(torch.from_numpy(labels[-1][n]) for n in ("label_points", "label_triangles"))
+                ).numpy()
     if rows:
         data = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
         if labels:
@@ -300,8 +305,8 @@ def main() -> None:
     parser.add_argument("--spread", type=float, default=0.5, help="spread of the sensors' errors")
     parser.add_argument("--dark", type=float, default=0.15, help="share of views of dark things")
     parser.add_argument("--samplings", type=int, default=0,
-                        help="clouds of each size and view to make here; 0: in learn.py, each "
-                             "step anew, which only a GPU does quickly")  # fmt: skip
+                        help="clouds of each size and view to make here, and signed distances; "
+                             "0: in learn.py, which only a GPU does quickly")  # fmt: skip
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()

@@ -146,10 +146,13 @@ class Views:
             if number >= len(self._is_labelled):
                 raise IndexError(f"object {number}: learn.py needs more --objects")
             if not self._is_labelled[number]:
-                first = ends[row] - arrays["label_faces"][row]
-                triangles = torch.from_numpy(arrays["label_triangles"][first : ends[row]])
                 x = torch.from_numpy(arrays["label_points"][row]).to(self.device)
-                self._sdf[number] = kernels.signed_distance(x, triangles.to(self.device))
+                if "label_sdf" in arrays:
+                    self._sdf[number] = torch.from_numpy(arrays["label_sdf"][row])
+                else:
+                    first = ends[row] - arrays["label_faces"][row]
+                    triangles = torch.from_numpy(arrays["label_triangles"][first : ends[row]])
+                    self._sdf[number] = kernels.signed_distance(x, triangles.to(self.device))
                 self._x[number] = x
                 self._centre[number] = torch.from_numpy(arrays["label_centre"][row])
                 self._is_labelled[number] = True
