@@ -41,7 +41,7 @@ BRIDGE = 0.05
 """Largest distance [m] from a floating part to the object that it is joined to: the camera did not
 see their connection."""
 BEYOND = 0.1
-"""Distance [m] to which an object that the workspace cuts goes on outside of it: a hand's width."""
+"""Objects that the workspace cuts are followed so far outside of it [m]: a hand's width."""
 FLATTEST = 0.008
 """Least height of an object [m]; lower groups are unevenness of the table."""
 
@@ -163,8 +163,10 @@ def _follow_outside(
 def _over_table(
     points: Array, camera: Array, plane: Array | None
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Heights [N] of points over the measured table, and a mask of those that rise above it: of all
-    of them without a plane, over which heights are then z."""
+    """Heights [N] of points above the measured table, and a mask of those that rise above it.
+
+    Without a plane heights are z, and the mask holds all points.
+    """
     if plane is None:
         return points[:, 2], np.ones(len(points), dtype=bool)
     distance = np.linalg.norm(points - camera, axis=1)

@@ -84,7 +84,7 @@ def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
     told = read_json(record) if record.exists() else None
     theirs = told.get("config") if isinstance(told, Mapping) else None
     if isinstance(told, Mapping) and theirs == config:
-        # Records of before have no digest.
+        # Older records have no digest.
         if told.get("sha256") not in (None, file_sha256(out)):
             raise OptionsDifferError.of_file(out, "is not as it was written: damaged or changed")
         return True

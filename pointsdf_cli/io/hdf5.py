@@ -45,7 +45,7 @@ NO_SEED = -1
 """The `seed` attribute of an artifact in which nothing was drawn."""
 
 _CHUNK = 1 << 20
-"""Bytes with one check sum, roughly."""
+"""Approximate number of bytes with one checksum."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ def write_artifact(
 
 
 def _packing(array: np.ndarray, compress: bool) -> dict[str, Any]:
-    """Options of a dataset: check sums, as damage shows nowhere else in what is not compressed."""
+    """Options of a dataset: checksums, as damage shows nowhere else in what is not compressed."""
     squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compress else {}
     if not (array.ndim and array.size):
-        return squeeze  # HDF5 has no check sum for single numbers
+        return squeeze  # HDF5 has no checksum for single numbers
     if not compress:  # chunks of whole rows: the library's own take twice as long
         parts = -(-array.nbytes // _CHUNK)
         squeeze = {"chunks": (-(-len(array) // parts), *array.shape[1:])}

@@ -22,7 +22,7 @@ _DEFLATE_MOST = 1032
 _HARMLESS = 256 << 20
 """A chunk that cannot unpack to more bytes than this is not looked into."""
 _CHECK_SUM = 4
-"""Bytes that Fletcher's check sum adds."""
+"""Bytes that Fletcher's checksum adds."""
 
 
 def check_packing(path: Path, name: str, dataset: h5d.DatasetID) -> None:

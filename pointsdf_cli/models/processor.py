@@ -65,13 +65,15 @@ def usable_device(name: str) -> str:
     Raises:
         InputError: It is none, or not on this machine.
     """
-    allowed = ", ".join(["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))])
+    count = torch.cuda.device_count()
+    here = ["cpu", *(f"cuda:{k}" for k in range(count))]
+    allowed = ", ".join(here)
     try:
         device = torch.device(name)
     except RuntimeError as error:
         raise InputError(f"no device {name!r}", where="--device", allowed=allowed) from error
-    if device.type != "cpu" and f"{device.type}:{device.index or 0}" not in allowed:
-        what = f"{name} is not on this machine ({torch.cuda.device_count()} CUDA devices)"
+    if device.type != "cpu" and f"{device.type}:{device.index or 0}" not in here:
+        what = f"{name} is not on this machine ({count} CUDA devices)"
         raise InputError(what, where="--device", allowed=allowed)
     return name
 

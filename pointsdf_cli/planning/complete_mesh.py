@@ -75,6 +75,6 @@ def _missed(made: ReconstructedMesh, view: ObjectView) -> tuple[str, ...]:
     faces = made.faces[:: 1 + len(made.faces) // MOST_FACES]
     centres = made.vertices[faces].mean(axis=1)
     return tuple(
-        f"{sentence}, and for clouds of another frame than the camera's"
+        f"{sentence}, and for clouds whose frame is not the camera's"
         for sentence in missed_points((centres, faces), view.points)
     )

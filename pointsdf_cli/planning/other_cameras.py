@@ -16,8 +16,8 @@ SAME_THING = 0.03
 TOUCHING = 0.01
 """Largest distance [m] at which two cameras see the same surface."""
 PART = 0.1
-"""Share of a group of points from which the first camera's object, or another one, is part of
-it."""
+"""Least share of a group's points that lie on the first camera's object, or on other objects, for
+these to be part of the group."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,13 @@ class FirstView:
             away = f"what is nearest to the object is {nearest:.2f} m away from it"
             raise NoObjectError(away, where=name)
         if self._is_merged(to_target, to_others):
-            raise NoObjectError("it looks like one with another object", where=name)
+            raise NoObjectError("this camera sees it and another object as one", where=name)
 
     def without_target(self, view: LabelledView) -> LabelledView:
-        """The view without the target's part of groups that join it to other objects: as an
-        obstacle it would be in the way of every grasp."""
+        """The view without the target's part of groups that hold other objects, too.
+
+        As an obstacle, that part would block every grasp.
+        """
         label = view.objects.label.copy()
         to_target, to_others = self._distances(view.world)
         for group in range(view.objects.count):

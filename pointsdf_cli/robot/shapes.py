@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 KINDS = ("box", "cylinder", "sphere", "hull")
 WIDEST = 5.0
-"""A robot's link is no larger than this [m]; what is was drawn in millimetres."""
+"""Largest size of a robot's link [m]: larger ones were drawn in millimetres."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,9 @@ from pointsdf_cli.io.poses import numbers_in
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.mimic import require_together
 
+TOLERANCE = 1e-6
+"""Joint positions may exceed their limits by this [rad or m]."""
+
 
 def start_configuration(given: str | Array | None, robot: RobotDescription) -> Array:
     """A configuration [J] from `--start`: all joints, or the arm's with the hand as at home.
@@ -32,14 +35,20 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
         raise InputError(f"{len(numbers)} joint positions", where="--start", allowed=allowed)
     q = robot.home.copy()
     q[: len(numbers)] = numbers
-    inside = (q >= robot.hard_lower - 1e-6) & (q <= robot.hard_upper + 1e-6)
-    outside = np.flatnonzero(~inside)  # NaN, too
-    if len(outside):
-        j = int(outside[0])
-        name = robot.joint_names[j]
-        unit = "m" if robot.slides[j] else "rad"
-        what = f"{name} at {q[j]:.4g} {unit} is beyond its limit"
-        allowed = f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}"
-        raise InputError(what, where="--start", allowed=allowed)
+    require_within_limits(q, robot, "--start")
     require_together(q, robot.joints, robot.followers, "--start")
     return q
+
+
+def require_within_limits(q: Array, robot: RobotDescription, where: object) -> None:
+    """Refuse a configuration [J] beyond a joint's hard limit, or NaN.
+
+    Raises:
+        InputError: A joint is, which is named.
+    """
+    inside = (q >= robot.hard_lower - TOLERANCE) & (q <= robot.hard_upper + TOLERANCE)
+    for j in np.flatnonzero(~inside)[:1]:  # NaN, too
+        unit = "m" if robot.slides[j] else "rad"
+        what = f"{robot.joint_names[j]} at {q[j]:.4g} {unit} is beyond its limit"
+        allowed = f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}"
+        raise InputError(what, where=where, allowed=allowed)

@@ -6,7 +6,6 @@ from collections import OrderedDict
 from collections.abc import Callable
 from functools import cached_property, lru_cache
 
-import numpy as np
 import torch
 
 from pointsdf_cli.errors import InputError
@@ -25,11 +24,9 @@ from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.variables import Variables
 from pointsdf_cli.robot.description import RobotDescription, load_robot
-from pointsdf_cli.robot.start import start_configuration
+from pointsdf_cli.robot.start import require_within_limits, start_configuration
 from pointsdf_cli.service.identity import PlannerFiles
 
-TOLERANCE = 1e-6
-"""Joint positions may exceed their limits by this [rad or m]."""
 KEPT = 4
 """Largest number of cached planners, one for each set of choices; each takes up to 100 MB."""
 
@@ -106,11 +103,8 @@ class Resident:
                 where="q",
                 allowed=f"one grasp or more, of {len(joints)}: " + ", ".join(joints),
             )
-        inside = (q >= robot.hard_lower - TOLERANCE) & (q <= robot.hard_upper + TOLERANCE)
-        for row, joint in np.argwhere(~inside)[:1]:  # NaN, too
-            what = f"grasp {row}: {joints[joint]} at {q[row, joint]:.4g} is beyond its limit"
-            allowed = f"{robot.hard_lower[joint]:.4g} to {robot.hard_upper[joint]:.4g}"
-            raise InputError(what, where="q", allowed=allowed)
+        for k, grasp in enumerate(q):
+            require_within_limits(grasp, robot, f"q, grasp {k}")
         start = start_configuration(request.start, robot)
         seen = look_for(request.target, request, robot, start)
         perceived = planner.see(seen.views, request.seed, table=request.environment.table)
