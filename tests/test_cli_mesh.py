@@ -285,4 +285,4 @@ def test_a_mesh_that_misses_its_cloud_is_said(full: Path, tmp_path: Path) -> Non
         assert code == 0
         assert "warning: the reconstruction misses" in told + err
     (one,) = json.loads((tmp_path / "meshes/cloud.json").read_text())["warnings"]
-    assert "another frame" in one
+    assert "whose frame is not the camera's" in one
