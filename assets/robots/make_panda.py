@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+import primitives
 from primitives import Joint, Link, Model, Shape, write_urdf
 
 WHITE, GREY, DARK = "panda_white", "panda_grey", "pad_dark"
@@ -23,14 +24,11 @@ Part = tuple[Shape, str]
 
 
 def tube(radius: float, start: float, end: float) -> Part:
-    """A cylinder along z."""
-    return Shape("cylinder", (radius, end - start), (0, 0, (start + end) / 2)), WHITE
+    return primitives.tube(radius, start, end), WHITE
 
 
 def drum(radius: float, start: float, end: float, x: float = 0.0) -> Part:
-    """A cylinder along y: the housing of a joint."""
-    centre = (x, (start + end) / 2, 0.0)
-    return Shape("cylinder", (radius, end - start), centre, (QUARTER, 0, 0)), WHITE
+    return primitives.drum(radius, start, end, x), WHITE
 
 
 def box(
@@ -137,26 +135,9 @@ def add_arm(model: Model) -> None:
         )
 
 
-RUBBER = 1.5e6
-"""Young's modulus of rubber [Pa], that of GraspIt!'s soft fingers (manual, chapter 6)."""
-POISSON, CURVATURE = 0.5, 0.03
-"""Poisson's ratio of rubber; radius of what the jaws usually grasp [m]."""
-OBJECT = 1e-3 / 0.6
-"""Part that PyBullet adds for the object: its own torsional over its lateral friction [m]
-(`simulation/physics.py`)."""
 EFFORT = 20.0
 """Force of a jaw [N]; with more, round things creep out of the simulated jaws
 (docs/notebook.md)."""
-
-
-def torsional_friction() -> float:
-    """Torsional friction of a rubber pad [m], over lateral friction and force.
-
-    The contact of a ball with a rubber half-space is a disc of radius a, a³ = 3 F R (1 − ν²) / 4 E
-    (Hertz); its pressure resists a torque of 3π/16 a μ F.
-    """
-    disc = (3 * EFFORT * CURVATURE * (1 - POISSON**2) / (4 * RUBBER)) ** (1 / 3)
-    return 3 * math.pi / 16 * disc - OBJECT
 
 
 def add_gripper(model: Model) -> None:
@@ -183,7 +164,7 @@ def add_gripper(model: Model) -> None:
             (Shape("box", (0.0175, 0.012, 0.022), (0, side * 0.0140, 0.0305)), GREY),
             (Shape("box", (0.0175, 0.0152, 0.0185), (0, side * 0.0076, 0.04525)), DARK),
         ]
-        model.links.append(Link(f"panda_{name}", 0.015, jaw, torsional_friction()))
+        model.links.append(Link(f"panda_{name}", 0.015, jaw, primitives.rubber_friction(EFFORT)))
         model.joints.append(
             Joint(
                 f"panda_finger_joint{1 if side > 0 else 2}",

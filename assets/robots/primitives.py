@@ -63,7 +63,7 @@ class Link:
 @dataclass(frozen=True)
 class Joint:
     """A joint from `parent` to `child`; `kind` is revolute, prismatic or fixed; it moves as the
-    joint `mimic` does, if that is named."""
+    joint `mimic` does, if that is named, times `multiplier`."""
 
     name: str
     parent: str
@@ -77,12 +77,44 @@ class Joint:
     damping: float = 0.0
     kind: str = "revolute"
     mimic: str = ""
+    multiplier: float = 1.0
 
 
 @dataclass
 class Model:
     links: list[Link] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
+
+
+def tube(radius: float, start: float, end: float, x: float = 0.0) -> Shape:
+    """A cylinder along z."""
+    return Shape("cylinder", (radius, end - start), (x, 0, (start + end) / 2))
+
+
+def drum(radius: float, start: float, end: float, x: float = 0.0) -> Shape:
+    """A cylinder along y: the housing of a joint."""
+    centre = (x, (start + end) / 2, 0.0)
+    return Shape("cylinder", (radius, end - start), centre, (math.pi / 2, 0, 0))
+
+
+RUBBER = 1.5e6
+"""Young's modulus of rubber [Pa], that of GraspIt!'s soft fingers (manual, chapter 6)."""
+POISSON, CURVATURE = 0.5, 0.03
+"""Poisson's ratio of rubber; radius of what the jaws usually grasp [m]."""
+OBJECT = 1e-3 / 0.6
+"""Part that PyBullet adds for the object: its own torsional over its lateral friction [m]
+(`simulation/physics.py`)."""
+
+
+def rubber_friction(force: float) -> float:
+    """Torsional friction of a rubber pad pressed by `force` [N], over lateral friction and force:
+    [m].
+
+    The contact of a ball with a rubber half-space is a disc of radius a, a³ = 3 F R (1 − ν²) / 4 E
+    (Hertz); its pressure resists a torque of 3π/16 a μ F.
+    """
+    disc = (3 * force * CURVATURE * (1 - POISSON**2) / (4 * RUBBER)) ** (1 / 3)
+    return 3 * math.pi / 16 * disc - OBJECT
 
 
 def inertial(link: Link) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +184,8 @@ def urdf(model: Model, robot: str, colours: Mapping[str, str]) -> ET.Element:
             velocity=text(joint.velocity),
         )
         if joint.mimic:
-            ET.SubElement(node, "mimic", joint=joint.mimic, multiplier="1", offset="0")
+            multiplier = text(joint.multiplier)
+            ET.SubElement(node, "mimic", joint=joint.mimic, multiplier=multiplier, offset="0")
         ET.SubElement(node, "dynamics", damping=text(joint.damping), friction="0")
     ET.indent(root)
     return root

@@ -4,13 +4,16 @@ closed."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.surface import robot_surface
+from pointsdf_cli.robot.surface import link_surface, robot_surface
 
 NEARER = 0.002
 """Least distance [m] by which a closing joint brings a fingertip nearer to the palm's axis."""
@@ -79,12 +82,62 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
 
 
 def fingertips(robot: RobotDescription) -> tuple[str, ...]:
-    """Links beyond a hand joint, with a shape, beyond which there is no other such link."""
+    """Links beyond a hand joint, with a shape, beyond which there is no other such link.
+
+    Struts are left out: a URDF cannot close a linkage, so the inner knuckles of some grippers
+    (Robotiq, xArm) end where they meet their finger.
+    """
     tree = robot.tree
     moved = dict.fromkeys(link for joint in robot.hand_joints for link in tree.beyond([joint]))
     shaped = [link for link in moved if tree.shapes[link]]
     inner = {joint.parent for link in shaped for joint in tree.way_up(link)}
-    return tuple(link for link in shaped if link not in inner)
+    tips = [link for link in shaped if link not in inner]
+    if robot.followers:
+        chains = {tip: {tip, *(joint.parent for joint in tree.way_up(tip))} for tip in tips}
+        struts = _struts(robot, {tip: chains[tip] & set(shaped) for tip in tips})
+        tips = [tip for tip in tips if tip not in struts]
+    return tuple(tips)
+
+
+def _struts(robot: RobotDescription, chains: dict[str, set[str]]) -> set[str]:
+    """Fingertips that overlap a link of another finger, one that reaches farther, however far the
+    hand is closed.
+
+    Args:
+        robot: The robot.
+        chains: The links of each finger that have a shape, by its fingertip.
+    """
+    kinematics = Kinematics(robot)
+    share = np.array([[0.0], [0.5], [1.0]])
+    q = robot.follow((1 - share) * robot.lower + share * robot.upper)
+    rotation, position = kinematics(q)
+    surface = {
+        link: link_surface(robot.tree.shapes[link]) for chain in chains.values() for link in chain
+    }
+    at = {link: kinematics.index(link) for link in [robot.palm_link, *surface]}
+
+    def local(link: str, frame: str) -> Tensor:
+        """Points of a link in the frame of another, [3, P, 3]."""
+        points = torch.from_numpy(surface[link])
+        world = points @ rotation[:, at[link]].transpose(1, 2) + position[:, None, at[link]]
+        return (world - position[:, None, at[frame]]) @ rotation[:, at[frame]]
+
+    def depth(link: str, other: str) -> Tensor:
+        """Distances [3] of a link's points to the shapes of another."""
+        points = local(link, other)
+        far = [shape.signed_distance(points).amin(dim=1) for shape in robot.tree.shapes[other]]
+        return torch.stack(far).amin(dim=0)
+
+    reach = {tip: float(local(tip, robot.palm_link).norm(dim=2).max()) for tip in chains}
+    return {
+        tip
+        for tip, other in permutations(chains, 2)
+        if tip not in chains[other] and reach[tip] < reach[other]
+        if any(
+            bool((torch.minimum(depth(tip, link), depth(link, tip)) < 0).all())
+            for link in chains[other] - chains[tip]
+        )
+    }
 
 
 def to_palm_axis(robot: RobotDescription, points: Array) -> Array:
