@@ -53,7 +53,7 @@ def test_it_is_found_by_its_name_and_others_are_not(panda: RobotDescription) -> 
     assert load_robot("lbr4_allegro").name == load_robot().name == "lbr4_allegro"
     with pytest.raises(InputError) as caught:
         load_robot("pandas")
-    assert "lbr4_allegro, lbr4_barrett, panda" in str(caught.value)
+    assert "lbr4_allegro, lbr4_barrett, panda, ur5e_2f85" in str(caught.value)
 
 
 def test_limits_and_speeds_are_the_makers(panda: RobotDescription) -> None:

@@ -156,6 +156,15 @@ def test_a_mesh_of_a_package_lies_beside_a_copied_urdf(tmp_path: Path) -> None:
     assert load_robot(path).tree.shapes["left"][0].kind == "hull"
 
 
+def test_a_mesh_that_was_scaled_to_metres_twice_is_refused(tmp_path: Path) -> None:
+    mesh = '<mesh filename="jaw.stl" scale="0.001 0.001 0.001"/>'
+    path = spoiled(tmp_path, '<box size="0.06 0.01 0.02"/>', mesh)
+    trimesh.creation.box((0.06, 0.04, 0.02)).export(tmp_path / "jaw.stl")
+    with pytest.raises(InputError, match=r"link 'left': the mesh is 6e-05 m across") as caught:
+        load_robot(path)
+    assert str(caught.value.hint) == 'drawn in metres? Then scale="1 1 1"'
+
+
 @pytest.mark.parametrize("scale", ["1000 1000 1000", "1 200 1", "1e300 1 1"])
 def test_a_link_in_millimetres_is_refused_before_it_is_sampled(tmp_path: Path, scale: str) -> None:
     mesh = f'<mesh filename="jaw.stl" scale="{scale}"/>'

@@ -90,14 +90,14 @@ def bundled_robot(robot: Path | None) -> Path | None:
 Robot = Annotated[
     Path | None,
     typer.Option(
-        help="Robot YAML, panda or lbr4_barrett.  [default: LBR4 with Allegro hand]",
+        help="Robot YAML, panda, ur5e_2f85 or lbr4_barrett.  [default: LBR4 with Allegro hand]",
         callback=bundled_robot,
     ),
 ]
 RobotInScene = Annotated[
     Path | None,
     typer.Option(
-        help="Robot, to remove its points from a scene: YAML, panda or lbr4_barrett "
+        help="Robot, to remove its points from a scene: YAML, panda, ur5e_2f85 or lbr4_barrett "
         "[default: LBR4 with Allegro hand].",
         callback=bundled_robot,
     ),

@@ -23,7 +23,8 @@ def check(
     robot: Annotated[
         Path,
         typer.Argument(
-            help="Robot YAML beside its URDF, panda or lbr4_barrett.", callback=common.bundled_robot
+            help="Robot YAML beside its URDF, panda, ur5e_2f85 or lbr4_barrett.",
+            callback=common.bundled_robot,
         ),
     ],
     picture: Annotated[

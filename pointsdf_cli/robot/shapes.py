@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 KINDS = ("box", "cylinder", "sphere", "hull")
 WIDEST = 5.0
 """Largest size of a robot's link [m]: larger ones were drawn in millimetres."""
+NARROWEST = 1e-3
+"""Smallest size of a link's mesh [m]: smaller ones were scaled to metres twice."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ def mesh_shape(path: Path, scale: Array, pose: Array) -> Shape:
     """The convex hull of a mesh file, as physics engines take a link's mesh.
 
     Raises:
-        InputError: The mesh cannot be read, is larger than a link, or has no inside.
+        InputError: The mesh cannot be read, has not the size of a link, or has no inside.
     """
     import trimesh
     from scipy.spatial import QhullError
@@ -148,8 +150,13 @@ def mesh_shape(path: Path, scale: Array, pose: Array) -> Shape:
     # A hull needs neither a closed surface nor metres: drawings in millimetres come with a scale.
     vertices, faces = read_triangles(path)
     corners = vertices[np.unique(faces)] * scale
-    smaller = " ".join(f"{one:g}" for one in scale / 1000)
+    smaller, larger = (" ".join(f"{one:g}" for one in scale * by) for by in (0.001, 1000))
     require_metres(corners, "the mesh", path, f'in millimetres? Then scale="{smaller}"')
+    across = float(np.ptp(corners, axis=0).max())
+    if across < NARROWEST:
+        what, least = f"the mesh is {across:.2g} m across", f"at least {NARROWEST:g} m"
+        hint = f'drawn in metres? Then scale="{larger}"'
+        raise InputError(what, where=path, allowed=least, hint=hint)
     try:
         hull = trimesh.convex.convex_hull(corners)
     except QhullError as error:
