@@ -10,6 +10,7 @@ import pytest
 import torch
 import trimesh
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.check import check_robot
 from pointsdf_cli.robot.closing import fingertips
@@ -59,6 +60,17 @@ def test_it_passes_its_check_and_its_speeds_are_the_makers(ur5e: RobotDescriptio
     assert found.reached > 0.95
     assert ur5e.velocity[:ARM] == pytest.approx([math.pi] * ARM)
     assert ur5e.effort[:ARM].tolist() == [150.0] * 3 + [28.0] * 3
+
+
+def test_knuckles_that_cross_are_told_with_the_line_to_write(
+    ur5e: RobotDescription, tmp_path: Path
+) -> None:
+    text = asset_path("robots/ur5e_2f85.yaml").read_text()
+    text = text.replace(", [left_inner_knuckle, left_outer_knuckle]", "")
+    (tmp_path / "robot.yaml").write_text(text.replace("urdf: ", f"urdf: {ur5e.urdf.parent}/"))
+    (finding,) = check_robot(load_robot(tmp_path / "robot.yaml")).findings
+    assert "left_outer_knuckle and left_inner_knuckle overlap" in finding.what
+    assert "may_touch: [[left_outer_knuckle, left_inner_knuckle]]" in finding.fix
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.6, 0.8])

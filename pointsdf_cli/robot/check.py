@@ -20,6 +20,8 @@ from pointsdf_cli.robot.urdf import MOVING
 ERROR, WARNING = "error", "warning"
 SLACK = 1e-3
 """Limits of a follower may be narrower than its leader's by this much [rad or m]."""
+FINE = 0.0025
+"""Spacing [m] of the surface points of links at home: where edges cross, points are too far."""
 POSES, ANYWHERE = 60, 24
 """Number of palm poses for inverse kinematics, and of configurations to check."""
 
@@ -168,7 +170,7 @@ def _self_collisions(
     robot: RobotDescription, kinematics: Kinematics, rng: np.random.Generator
 ) -> tuple[float, list[Finding]]:
     """At home, and pairs of links that touch whatever the robot does."""
-    fine, coarse = SelfCollision(kinematics), SelfCollision(kinematics, 0.03, 0.0)
+    fine, coarse = SelfCollision(kinematics, FINE), SelfCollision(kinematics, 0.03, 0.0)
     if not fine.pairs:
         return float("inf"), []
     q = robot.follow(rng.uniform(robot.lower, robot.upper, (ANYWHERE, len(robot.lower))))
