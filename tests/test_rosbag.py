@@ -133,13 +133,14 @@ def test_the_median_removes_noise_and_what_flickers() -> None:
     assert (median[50:] == 0).all()  # seen in one of five
 
 
-def test_a_camera_on_the_wrist_is_where_the_arm_was_then(tmp_path: Path, cli: Callable) -> None:
-    def arm(time: int, angle: float) -> tuple[str, int, Any]:
-        turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
-        return "/tf", time, tf(time, {("base_link", "mount"): transform(turn, [1.0, 0, 0.5])})
+def arm(time: int, along: float, angle: float = 0.0) -> tuple[str, int, Any]:
+    turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+    return "/tf", time, tf(time, {("base_link", "mount"): transform(turn, [along, 0, 0.5])})
 
+
+def test_a_camera_on_the_wrist_is_where_the_arm_was_then(tmp_path: Path, cli: Callable) -> None:
     static = ("/tf_static", BEGIN, tf(BEGIN, {("mount", FRAME): T_MOUNT_OPTICAL}))
-    moving = [arm(BEGIN + k * SECOND // 20, 10.0 * k) for k in range(5)]
+    moving = [arm(BEGIN + k * SECOND // 20, 1.0, 10.0 * k) for k in range(5)]
     bag = write_bag(tmp_path / "bag", messages(raw(3), **{"/tf_static": static}) + moving)
     base = ("cloud", bag, "--world-frame", "base_link", "--out", tmp_path / "cloud.ply")
     assert cli(*base, "--index", 1).code == 0
@@ -150,6 +151,67 @@ def test_a_camera_on_the_wrist_is_where_the_arm_was_then(tmp_path: Path, cli: Ca
     moved = cli(*base, "--frames", 3, "--force")
     assert moved.code == 2
     assert "the camera moves" in moved.err
+
+
+def wrist(moving: list[tuple[str, int, Any]], stamps: list[int]) -> list[tuple[str, int, Any]]:
+    """A bag's messages: a camera on a moving mount, and an image at each stamp, recorded 0.2 s
+    after the beginning and later."""
+    static = ("/tf_static", BEGIN, tf(BEGIN, {("mount", FRAME): T_MOUNT_OPTICAL}))
+    images = [
+        (TOPIC, BEGIN + SECOND // 5 + k, image(stamp, depth(), "16UC1"))
+        for k, stamp in enumerate(stamps)
+    ]
+    return sorted([*messages([], **{"/tf_static": static}), *moving, *images], key=lambda m: m[1])
+
+
+def test_between_two_transforms_the_camera_is_between(tmp_path: Path, cli: Callable) -> None:
+    parts = wrist([arm(BEGIN, 1.0), arm(BEGIN + SECOND // 10, 1.1, 40.0)], [BEGIN + SECOND // 40])
+    bag, out = write_bag(tmp_path / "bag", parts), tmp_path / "cloud.ply"
+    assert cli("cloud", bag, "--world-frame", "base_link", "--out", out).code == 0
+    turn = Rotation.from_euler("z", 10, degrees=True).as_matrix()
+    pose = read_cloud(out).T_world_camera
+    assert pose is not None
+    assert np.allclose(pose, transform(turn, [1.025, 0, 0.5]) @ T_MOUNT_OPTICAL, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times", "speed", "told"),
+    [
+        ((0.0, 0.1, 0.2), 0.5, "the camera moves"),  # they end before the image
+        ((0.6, 0.7), 0.5, "the camera moves"),
+        ((0.0, 0.6), 0.5, "the camera moves"),  # half a second apart
+        ((0.0, 0.1, 0.2), 0.0, ""),
+        ((0.0, 0.6), 0.0, ""),
+        ((2.0, 2.1), 0.0, "stamp is 1.5 s from the nearest of the transforms base_link → mount"),
+    ],
+)
+def test_where_no_transforms_enclose_the_stamp_the_camera_must_stand_still(
+    tmp_path: Path, cli: Callable, times: tuple[float, ...], speed: float, told: str
+) -> None:
+    moving = [arm(BEGIN + round(t * SECOND), 1.0 + speed * t) for t in times]
+    bag = write_bag(tmp_path / "bag", wrist(moving, [BEGIN + SECOND // 2]))
+    done = cli("cloud", bag, "--world-frame", "base_link", "--out", tmp_path / "cloud.ply")
+    assert done.code == (2 if told else 0), done.err
+    assert (told or "the pose holds if the camera stood still") in done.err + done.out
+
+
+def test_a_camera_that_comes_back_has_moved(tmp_path: Path, cli: Callable) -> None:
+    stamps = [BEGIN + k * SECOND // 10 for k in range(3)]
+    moving = [arm(stamp, x) for stamp, x in zip(stamps, (1.0, 1.1, 1.0), strict=True)]
+    bag = write_bag(tmp_path / "bag", wrist(moving, stamps))
+    base = ("cloud", bag, "--world-frame", "base_link", "--out", tmp_path / "cloud.ply")
+    done = cli(*base, "--frames", 3)
+    assert done.code == 2
+    assert "the camera moves" in done.err
+
+
+def test_an_invalid_transform_elsewhere_does_no_harm(tmp_path: Path, cli: Callable) -> None:
+    person = tf(BEGIN, {("base_link", "person_1"): np.eye(4)})
+    person.transforms[0].transform.rotation.w = 0.0
+    bag = write_bag(tmp_path / "bag", [*messages(raw()), ("/tf", BEGIN, person)])
+    out = tmp_path / "cloud.ply"
+    assert cli("cloud", bag, "--world-frame", "base_link", "--out", out).code == 0
+    assert np.allclose(read_cloud(out).T_world_camera, T_BASE_OPTICAL, atol=1e-9)
 
 
 def test_a_rectified_image_has_the_matrix_of_the_rectified(tmp_path: Path, cli: Callable) -> None:
@@ -257,7 +319,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "a transform that is none": (
         of(messages(raw(), **{"/tf_static": ("/tf_static", BEGIN, broken_transform())}),
-           "--world-frame", "base_link"), "no rotation and translation",
+           "--world-frame", "base_link"), "base_link → mount is no rotation and translation",
     ),
     "an image before the first": (
         of(messages(raw(3)), "--index", -7), f"has 3 images on {TOPIC}, and image -7",

@@ -15,10 +15,10 @@ from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
-from pointsdf_cli.io.rosbag import MOST_FRAMES, Bag, DepthFrames, chain, open_bag
+from pointsdf_cli.io.rosbag import GAP, MOST_FRAMES, Bag, DepthFrames, chain, open_bag, pose_at
 
 STILL = 0.001
-"""Largest motion of the camera [m, rad] between the first and the last of several images."""
+"""Largest motion [m, rad] of a camera that counts as standing still."""
 
 
 @dataclass(frozen=True)
@@ -158,15 +158,16 @@ def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
 
 def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | None, list[str]]:
     """T_world_camera [4, 4], or None without a world frame; and notes for the user."""
-    transforms = bag.transforms(int(frames.stamps[0]), int(frames.times[0]))
+    transforms = bag.transforms(int(frames.times.min()), int(frames.times.max()))
     known = sorted({name for edge in transforms for name in edge})
     if world is None:
         joined = [n for n in known if chain(transforms, n, frames.frame) is not None]
         joined = [n for n in joined if n != frames.frame]
         told = f"no --world-frame, so no pose; frames that lead to the camera: {', '.join(joined)}"
         return None, [told] if joined else ["no pose, and no transforms in the bag to find it"]
-    pose = chain(transforms, world.lstrip("/"), frames.frame)
-    if pose is None:
+    world, stamps = world.lstrip("/"), frames.stamps.tolist()
+    edges = chain(transforms, world, frames.frame)
+    if edges is None:
         raise InputError(
             f"no transforms lead from {world} to the camera's frame {frames.frame}",
             where=bag.path,
@@ -174,13 +175,23 @@ def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | Non
             "a bag with /tf_static (none is in it)",
             hint="record /tf_static (and /tf, if the camera moves), or give --camera-pose",
         )  # fmt: skip
-    if len(frames.stamps) > 1:
-        then = bag.transforms(int(frames.stamps[-1]), int(frames.times[-1]))
-        last = chain(then, world.lstrip("/"), frames.frame)
-        if last is None or np.abs(last - pose).max() > STILL:
+    doubtful = {t for e in edges for at in stamps for t in bag.doubtful(e, transforms[e], at)}
+    pose, *others = (pose_at(transforms, edges, world, time) for time in (*stamps, *doubtful))
+    moved = [np.abs(other - pose).max() > STILL for other in others]
+    if any(moved[: len(stamps) - 1]):
+        raise InputError(
+            "the camera moves while the images are taken",
+            where="--frames",
+            allowed="several images of a camera that stands still, or --frames 1",
+        )
+    said = [f"the camera's pose in {world} from the bag's transforms"]
+    if doubtful:
+        what = f"no transforms at most {GAP / 1e9:g} s apart enclose the image's stamp"
+        if any(moved):
             raise InputError(
-                "the camera moves while the images are taken",
-                where="--frames",
-                allowed="several images of a camera that stands still, or --frames 1",
+                f"the camera moves, and {what}: its pose is not known",
+                where=bag.path,
+                hint="take another image by --index or --time, or record /tf more often",
             )
-    return pose, [f"the camera's pose in {world} from the bag's transforms"]
+        said.append(f"{what}: the pose holds if the camera stood still")
+    return pose, said

@@ -5,13 +5,16 @@ A bag is a folder with metadata.yaml, or a single .mcap or .db3 file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
@@ -27,6 +30,13 @@ TRANSPORTS = ("compressed", "compressedDepth", "zstd")
 MOST_FRAMES = 100
 NEAR_IN_TIME = 1_000_000_000
 """A moving transform [ns] older or newer than this does not say where the camera was."""
+GAP = 200_000_000
+"""Longest time [ns] between two transforms to interpolate a motion in: 5 mm off at 1 m/s²."""
+STATIC = -1
+"""The stamp of transforms that hold always."""
+Edge = tuple[str, str]
+Samples = list[tuple[int, Array]]
+"""Stamps [ns], ascending, and transforms [4, 4]."""
 
 
 @dataclass(frozen=True)
@@ -190,23 +200,50 @@ class Bag:
         """The first message of a topic; None if there is none."""
         return next((message for _, _, message in self.messages([topic])), None)
 
-    def transforms(self, stamp: int, recorded: int) -> dict[tuple[str, str], Array]:
-        """T_parent_child [4, 4] by (parent, child): the static ones, and of the moving ones those
-        nearest to an image's stamp [ns], if within `NEAR_IN_TIME`."""
+    def transforms(self, first: int, last: int) -> dict[Edge, Samples]:
+        """T_parent_child by (parent, child): the static ones, and the moving ones about images
+        recorded from `first` to `last` [ns]. Invalid ones are left out, and their edge stays."""
         topics = self.topics(TF)
         fixed = [topic for topic in topics if topic.endswith("tf_static")]
-        static: dict[tuple[str, str], Array] = {}
-        for _, _, message in self.messages(fixed):
-            static |= {_edge(item): _matrix(item.transform) for item in message.transforms}
-        moving: dict[tuple[str, str], tuple[int, Array]] = {}
         # A part of the bag only: it may hold an hour of the arm's motion.
-        window = recorded - 2 * NEAR_IN_TIME, recorded + 2 * NEAR_IN_TIME
-        for _, _, message in self.messages([t for t in topics if t not in fixed], *window):
+        window = first - 2 * NEAR_IN_TIME, last + 2 * NEAR_IN_TIME
+        moving = self.messages([t for t in topics if t not in fixed], *window)
+        found: dict[Edge, Samples] = {}
+        for topic, _, message in (*moving, *self.messages(fixed)):
             for item in message.transforms:
-                edge, away = _edge(item), abs(_nanoseconds(item.header.stamp) - stamp)
-                if away <= NEAR_IN_TIME and (edge not in moving or away < moving[edge][0]):
-                    moving[edge] = away, _matrix(item.transform)
-        return {edge: pose for edge, (_, pose) in moving.items()} | static
+                edge = item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/")
+                samples, static = found.setdefault(edge, []), topic in fixed
+                if static:
+                    samples.clear()
+                if (pose := _matrix(item.transform)) is not None:
+                    samples.append((STATIC if static else _nanoseconds(item.header.stamp), pose))
+        for samples in found.values():
+            samples.sort(key=itemgetter(0))
+        return found
+
+    def doubtful(self, edge: Edge, samples: Samples, stamp: int) -> set[int]:
+        """Times [ns] of transforms that show whether an edge moved about a stamp, where it cannot
+        be interpolated; empty where it can.
+
+        Raises:
+            InputError: No valid transform is near.
+        """
+        what, hint = f"{edge[0]} → {edge[1]}", "give --camera-pose"
+        if not samples:
+            what = f"the transform {what} is no rotation and translation"
+            raise InputError(what, where=self.path, hint=hint)
+        before, after = (time for time, _ in _around(samples, stamp))
+        if before == STATIC or stamp == after:
+            return set()
+        if before <= stamp <= after:
+            return {before, after} if after - before > GAP else set()
+        near = {time for time, _ in samples if abs(time - stamp) <= NEAR_IN_TIME}
+        if not near:
+            away = min(abs(before - stamp), abs(after - stamp)) / 1e9
+            what = f"the image's stamp is {away:.1f} s from the nearest of the transforms {what}"
+            hint = f"does the camera's driver stamp by another clock? Or {hint}"
+            raise InputError(what, where=self.path, hint=hint)
+        return near
 
 
 @contextmanager
@@ -248,34 +285,48 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise InputError(f"is not a readable ROS 2 bag ({reason})", where=path) from error
 
 
-def chain(transforms: dict[tuple[str, str], Array], world: str, camera: str) -> Array | None:
-    """T_world_camera [4, 4] through a tree of T_parent_child; None if nothing joins the two."""
-    neighbours: dict[str, list[tuple[str, Array]]] = {}
-    for (parent, child), pose in transforms.items():
-        neighbours.setdefault(parent, []).append((child, pose))
-        neighbours.setdefault(child, []).append((parent, invert_transform(pose)))
-    reached, waiting = {world: np.eye(4)}, [world]
-    while waiting:
-        at = waiting.pop(0)
-        for other, pose in neighbours.get(at, []):
-            if other not in reached:
-                reached[other] = reached[at] @ pose
+def chain(edges: Collection[Edge], world: str, camera: str) -> list[Edge] | None:
+    """The edges of a tree from the world to the camera; None if nothing joins the two."""
+    reached: dict[str, list[Edge]] = {world: []}
+    waiting = [world]
+    for at in waiting:
+        for edge in edges:
+            other = edge[1] if edge[0] == at else edge[0]
+            if at in edge and other not in reached:
+                reached[other] = [*reached[at], edge]
                 waiting.append(other)
-    return reached.get(camera) if camera in neighbours or camera == world else None
+    return reached.get(camera)
+
+
+def pose_at(transforms: dict[Edge, Samples], edges: list[Edge], world: str, stamp: int) -> Array:
+    """T_world_camera [4, 4] through a chain of edges at a time [ns]: interpolated, and constant
+    before the first sample and after the last."""
+    pose, at = np.eye(4), world
+    for edge in edges:
+        (before, first), (after, last) = _around(transforms[edge], stamp)
+        share = np.clip((stamp - before) / max(after - before, 1), 0.0, 1.0)
+        both = scipy.spatial.transform.Rotation.from_matrix([first[:3, :3], last[:3, :3]])
+        turn = scipy.spatial.transform.Slerp([0, 1], both)(share).as_matrix()
+        step = transform(turn, (1 - share) * first[:3, 3] + share * last[:3, 3])
+        pose = pose @ (step if edge[0] == at else invert_transform(step))
+        at = edge[1] if edge[0] == at else edge[0]
+    return pose
+
+
+def _around(samples: Samples, stamp: int) -> Samples:
+    """The samples before and after a stamp; outside of all, the first or last one twice."""
+    at = bisect_left(samples, stamp, key=itemgetter(0))
+    return [samples[max(at - 1, 0)], samples[min(at, len(samples) - 1)]]
 
 
 def _nanoseconds(stamp: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def _edge(item: Any) -> tuple[str, str]:
-    return item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/")
-
-
-def _matrix(pose: Any) -> Array:
+def _matrix(pose: Any) -> Array | None:
+    """A transform [4, 4]; None if it is no rotation and translation."""
     q, t = pose.rotation, pose.translation
     wxyz = np.array([q.w, q.x, q.y, q.z])
-    size = np.linalg.norm(wxyz)
-    if not (1e-6 < size < np.inf and np.isfinite([t.x, t.y, t.z]).all()):
-        raise ValueError("a transform that is no rotation and translation")
+    if not (1e-6 < np.linalg.norm(wxyz) < np.inf and np.isfinite([t.x, t.y, t.z]).all()):
+        return None
     return transform(rotation_from_wxyz(wxyz), [t.x, t.y, t.z])
