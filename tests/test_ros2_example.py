@@ -10,7 +10,7 @@ import runpy
 import signal
 import sys
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -154,23 +154,26 @@ class Goals(list):
     """The goals that the node sent, in order, and ROS as far as the node uses it.
 
     ROS cannot be installed from package registries, so its actions are stand-ins here that accept
-    every goal and reach it at once.
+    every goal and reach it at once. Each spin takes 0.05 s.
 
     Args:
         off: Distance of the arm's first joint from where each trajectory ends [rad].
         gripper: Results (reached_goal, stalled, position) of the gripper's goals in turn; None for
-            one that is aborted.
+            one that is aborted, or the whole answer.
     """
 
-    def __init__(self, off: float, gripper: list[tuple[bool, bool, float] | None]) -> None:
+    def __init__(self, off: float, gripper: list[Any]) -> None:
         super().__init__()
         self.off, self.gripper, self.spins = off, gripper, 0
+        self.missing, self.due = "", (0, dict[str, float]())  # a server; positions after some spins
         self.heard: list[Any] = []
 
     def result_of(self, goal: Any, state: dict[str, float]) -> Any:
         """Result of a goal; a trajectory moves the robot."""
         if not hasattr(goal, "trajectory"):
             found = self.gripper.pop(0)
+            if isinstance(found, SimpleNamespace):
+                return found
             reached, stalled, position = found or (False, False, 0.0)
             result = SimpleNamespace(reached_goal=reached, stalled=stalled, position=position)
             return SimpleNamespace(status=4 if found else 6, result=result)
@@ -186,11 +189,11 @@ class Goals(list):
 
         class Future:
             def __init__(self, value: Any) -> None:
-                self.result, self.done = (lambda: value), (lambda: True)
+                self.result, self.done = (lambda: value), (lambda: value is not None)
 
         class ActionClient:
             def __init__(self, node: Any, action: Any, name: str) -> None:
-                self.name, self.wait_for_server = name, lambda timeout_sec: True
+                self.name, self.wait_for_server = name, lambda timeout_sec: name != goals.missing
 
             def send_goal_async(self, goal: Any) -> Future:
                 goals.append((self.name, goal))
@@ -220,6 +223,9 @@ class Goals(list):
 
         def spin_once(node: Any, timeout_sec: float) -> None:
             goals.spins += 1  # the drivers of arm and hand publish in turn
+            if goals.spins >= goals.due[0]:
+                state.update(goals.due[1])
+                goals.due = (0, {})
             names = list(state)[:7] if goals.spins % 2 else list(state)[7:]
             positions, still = [state[name] for name in names], [0.0] * len(names)
             for heard in goals.heard:
@@ -259,8 +265,9 @@ def run_node(
     *more: str,
     moved: float = 0.0,
     off: float = 0.0,
-    gripper: tuple[tuple[bool, bool, float] | None, ...] = (),
+    gripper: tuple[Any, ...] = (),
     lifts: Plan | None = None,
+    missing: str = "",
 ) -> Goals:
     """The goals of the node for a plan, the robot's first joint `moved` from its start; plan.h5 is
     of the plan `lifts`."""
@@ -269,13 +276,15 @@ def run_node(
     start = dict(zip(plan.joint_names, plan.trajectory[0].tolist(), strict=True))
     start[plan.joint_names[0]] += moved
     goals = Goals(off, list(gripper))
+    goals.missing = missing
     for name, module in goals.modules(start).items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.syspath_prepend(str(FOLDER))
     robot = str(asset_path(DEFAULT_ROBOT))
     files = [str(folder / "motion.json"), str(folder / "plan.h5"), robot]
     monkeypatch.setattr(sys, "argv", ["execute_plan.py", *files, *more])
-    monkeypatch.setattr("time.sleep", lambda seconds: None)
+    clock = SimpleNamespace(monotonic=lambda: 0.05 * goals.spins)
+    monkeypatch.setitem(sys.modules, "time", clock)
     before = {each: signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGHUP)}
     try:
         runpy.run_path(str(FOLDER / "execute_plan.py"), run_name="__main__")
@@ -289,14 +298,15 @@ def run_node(
 
 
 ARM = "/arm_controller/follow_joint_trajectory"
+HAND = "/hand_controller/follow_joint_trajectory"
+FAILED = SimpleNamespace(status=6, result=SimpleNamespace(error_code=-4, error_string="blocked"))
 
 
 def test_the_node_moves_closes_grips_and_lifts(
     monkeypatch: pytest.MonkeyPatch, plan: Plan, robot: RobotDescription, tmp_path: Path
 ) -> None:
     goals = run_node(monkeypatch, plan, tmp_path)
-    hand = "/hand_controller/follow_joint_trajectory"
-    assert [name for name, _ in goals] == [ARM, hand, hand, hand, ARM]
+    assert [name for name, _ in goals] == [HAND, ARM, HAND, HAND, ARM]
     lift = goals[-1][1].trajectory
     assert tuple(lift.joint_names) == robot.joint_names[:7]
     np.testing.assert_allclose(lift.points[-1].positions, plan.lift[-1, :7])
@@ -321,6 +331,100 @@ def test_a_lift_that_somebody_cancels_is_no_success(
     assert len(arm) == 2
 
 
+def of_the_hand(
+    monkeypatch: pytest.MonkeyPatch, told: Callable[[Goals, int, Any], Any]
+) -> list[str]:
+    """Let `told` answer goals of the hand by their number, without a motion; None is a success.
+
+    Returns the controllers in the order of their goals.
+    """
+    sent: list[str] = []
+
+    def result_of(self: Goals, goal: Any, state: dict[str, float]) -> Any:
+        arm = goal.trajectory.joint_names[0] == next(iter(state))
+        sent.append("arm" if arm else "hand")
+        answer = told(self, sent.count("hand"), goal) if not arm else None
+        return answer or moved(self, goal, state)
+
+    moved = Goals.result_of
+    monkeypatch.setattr(Goals, "result_of", result_of)
+    return sent
+
+
+def test_the_arm_does_not_drive_on_where_the_hand_fails(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    def result_of(self: Goals, goal: Any, state: dict[str, float]) -> Any:
+        return None if goal.trajectory.joint_names[0] == next(iter(state)) else FAILED
+
+    monkeypatch.setattr(Goals, "result_of", result_of)  # the arm moves on
+    with pytest.raises(SystemExit, match="blocked") as left:
+        run_node(monkeypatch, plan, tmp_path)
+    goals = left.value.goals  # type: ignore[attr-defined]
+    assert [name for name, _ in goals] == [HAND, ARM]
+    assert goals.spins < 10
+
+
+@pytest.mark.parametrize("missing", [HAND, ARM])
+def test_nothing_moves_where_a_controller_is_missing(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path, missing: str
+) -> None:
+    with pytest.raises(SystemExit, match=f"no action server of {missing.rpartition('/')[0]}") as at:
+        run_node(monkeypatch, plan, tmp_path, missing=missing)
+    assert at.value.goals == []  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("number", [2, 3], ids=["closing", "gripping"])
+def test_a_hand_that_fails_lifts_nothing(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path, number: int
+) -> None:
+    sent = of_the_hand(monkeypatch, lambda goals, at, goal: FAILED if at == number else None)
+    with pytest.raises(SystemExit, match="blocked"):
+        run_node(monkeypatch, plan, tmp_path)
+    assert sent == ["hand", "arm", *["hand"] * (number - 1)]
+
+
+def test_fingers_that_do_not_move_grip_nothing(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    reached = SimpleNamespace(status=4, result=SimpleNamespace(error_code=0))
+    sent = of_the_hand(monkeypatch, lambda goals, at, goal: reached if at == 2 else None)
+    with pytest.raises(SystemExit, match="no finger moved"):
+        run_node(monkeypatch, plan, tmp_path)
+    assert sent == ["hand", "arm", "hand"]
+
+
+def test_fingers_that_start_late_are_waited_for(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, robot: RobotDescription, tmp_path: Path
+) -> None:
+    reached = SimpleNamespace(status=4, result=SimpleNamespace(error_code=0))
+
+    def late(goals: Goals, at: int, goal: Any) -> Any:
+        if at != 2:
+            return None
+        end = goal.trajectory.points[-1].positions
+        goals.due = goals.spins + 40, dict(zip(goal.trajectory.joint_names, end, strict=True))
+        return reached
+
+    of_the_hand(monkeypatch, late)
+    goals = run_node(monkeypatch, plan, tmp_path)
+    grip = goals[3][1].trajectory
+    target = dict(zip(grip.joint_names, grip.points[-1].positions, strict=True))
+    for name in robot.closing_joints:  # nothing was in the way
+        assert target[name] == pytest.approx(robot.hard_upper[robot.joint_names.index(name)])
+
+
+@pytest.mark.parametrize("option", ["--lift-speed", "--tolerance", "--squeeze"])
+@pytest.mark.parametrize("value", ["-0.1", "nan", "text"])
+def test_numbers_out_of_their_range_are_refused_before_the_motion(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path, option: str, value: str
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        run_node(monkeypatch, plan, tmp_path, f"{option}={value}")
+    assert left.value.code == 2
+    assert left.value.goals == []  # type: ignore[attr-defined]
+
+
 def test_a_joint_without_limits_closes_as_it_does_in_plans(example: Any, tmp_path: Path) -> None:
     hand = "closing_joints: {f: -0.5, g: 0.5, h: 0.5}\narm_joints: [a]\nurdf: r.urdf\n"
     (tmp_path / "r.yaml").write_text(hand)
@@ -341,8 +445,11 @@ def test_a_gripper_opens_before_the_motion_and_closes_before_the_lift(
 ) -> None:
     more = (*GRIPPER, "--gripper-effort", "15")
     # The Franka Hand's driver does not tell that it stalled.
-    for told in ((False, True, 0.0), (True, False, 0.03)):
-        results = ((True, False, 0.04), told)
+    # ros2_control's own, by default, aborts where it stalled.
+    stalled = SimpleNamespace(reached_goal=False, stalled=True, position=0.02)
+    aborted = SimpleNamespace(status=6, result=stalled)
+    for told in ((False, True, 0.0), (True, False, 0.03), aborted):
+        results = (OPENED, told)
         goals = run_node(monkeypatch, plan, tmp_path, *more, gripper=results)
         assert [name for name, _ in goals] == ["/gripper_cmd", ARM, "/gripper_cmd", ARM]
     commands = [goal.command for name, goal in goals if name == "/gripper_cmd"]

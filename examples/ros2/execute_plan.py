@@ -15,6 +15,7 @@ docs/robot.md.
 from __future__ import annotations
 
 import argparse
+import math
 import signal
 import sys
 import time
@@ -40,6 +41,7 @@ from trajectories import (
     apart,
     closing,
     farthest_from,
+    farthest_share,
     grip,
     message,
     read_grasp,
@@ -56,6 +58,7 @@ GRIP_TIME = 0.5  # s
 LATE = 5.0  # s that a controller may take longer than its trajectory
 GRIPPER_TIME = 20.0  # s
 CLOSED = 0.02  # of the gripper's way: nearer to its closed position it holds nothing
+MOVED = 0.01  # of a finger's way: less is noise
 SAME_PLAN = 1e-3  # rad or m between the end of the motion and the plan's grasp
 UNLIKELY = 0.1  # success probability below which `rgrasp plan` ends with exit code 4
 
@@ -100,6 +103,12 @@ class Executor(Node):
             if time.monotonic() > end:
                 sys.exit(f"no answer within {seconds:.0f} s")
 
+    def wait_for_servers(self) -> None:
+        """Wait until every controller is there: none may move while another one is missing."""
+        for name, client in self.clients_of.items():
+            if not client.wait_for_server(timeout_sec=5.0):
+                sys.exit(f"no action server of {name}")
+
     def send(self, controller: str, trajectory: Trajectory) -> None:
         """Start a trajectory on a controller."""
         goal = FollowJointTrajectory.Goal(trajectory=message(trajectory, TYPES))
@@ -107,10 +116,7 @@ class Executor(Node):
 
     def _start(self, name: str, goal: object) -> None:
         """Send a goal, and wait until its server has accepted it."""
-        client = self.clients_of[name]
-        if not client.wait_for_server(timeout_sec=5.0):
-            sys.exit(f"no action server of {name}")
-        self.asked = client.send_goal_async(goal)
+        self.asked = self.clients_of[name].send_goal_async(goal)
         self.wait(self.asked, LATE)
         if not self.asked.result().accepted:
             sys.exit(f"{name} refused the goal")
@@ -128,21 +134,21 @@ class Executor(Node):
         future = self.running[-1].get_result_async()
         self.wait(future, GRIPPER_TIME)
         self.running = []
-        if future.result().status != GoalStatus.STATUS_SUCCEEDED:
-            sys.exit(f"the gripper failed on its way to {position:g}")
         result = future.result().result
+        # Without `allow_stalling`, ros2_control aborts a gripper that holds an object.
+        if future.result().status != GoalStatus.STATUS_SUCCEEDED and not result.stalled:
+            sys.exit(f"the gripper failed on its way to {position:g}")
         return result.reached_goal, result.stalled, result.position
 
     def finish(self, seconds: float) -> None:
         """Wait for the running goals, and exit if a controller fails or takes longer."""
-        for handle in self.running:
-            future = handle.get_result_async()
-            self.wait(future, seconds + LATE)
-            status, result = future.result().status, future.result().result
-            if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
-                sys.exit(f"a controller failed: {result.error_string} ({result.error_code})")
-            if status != GoalStatus.STATUS_SUCCEEDED:  # cancelled by another: no error
-                sys.exit(f"a controller ended with status {status}")
+        futures = [handle.get_result_async() for handle in self.running]
+        end = time.monotonic() + seconds + LATE
+        # All of them at once: the arm must not drive on while the hand has failed.
+        while False in [succeeded(future) for future in futures]:
+            rclpy.spin_once(self, timeout_sec=0.05)
+            if time.monotonic() > end:
+                sys.exit(f"no answer within {seconds + LATE:.0f} s")
         self.running = []
 
     def require_at(self, motion: Trajectory, point: int, tolerance: float, what: str) -> None:
@@ -155,36 +161,66 @@ class Executor(Node):
 
     def cancel(self) -> None:
         """Cancel the running goals; the controllers hold their positions."""
+        cancelled = [handle.cancel_goal_async() for handle in self.running]
         if self.asked is not None:  # sent, and not yet accepted
             rclpy.spin_until_future_complete(self, self.asked, timeout_sec=1.0)
             if self.asked.done() and self.asked.result().accepted:
-                self.running.append(self.asked.result())
-            self.asked = None
-        for handle in self.running:
-            rclpy.spin_until_future_complete(self, handle.cancel_goal_async(), timeout_sec=1.0)
-        self.running = []
+                cancelled.append(self.asked.result().cancel_goal_async())
+        for future in cancelled:
+            rclpy.spin_until_future_complete(self, future, timeout_sec=1.0)
+        self.running, self.asked = [], None
 
     def close(self, hand: Hand, joints: tuple[str, ...], squeeze: float) -> None:
-        """Close the hand until its fingers stall, then press."""
+        """Close the hand until its fingers stall, then press; exit if no finger moves."""
         way = closing(hand, joints, [self.positions[name] for name in joints])
         self.send(self.hand, way)
+        result = self.running[-1].get_result_async()
         began = still_since = time.monotonic()
+        moved = False
         while time.monotonic() - began < way.times[-1]:
             rclpy.spin_once(self, timeout_sec=0.05)
+            succeeded(result)
             now = time.monotonic()
+            moved = moved or farthest_share(way, self.positions) > MOVED
             # Fingers need a moment to begin to move.
-            if now - began < STALLED_FOR or not stalled(hand, self.velocities):
+            if not moved or now - began < STALLED_FOR or not stalled(hand, self.velocities):
                 still_since = now
             elif now - still_since > STALLED_FOR:
                 break
+        if not moved:
+            sys.exit("no finger moved: the hand did not close")
         self.cancel()
         q = [self.positions[name] for name in joints]
         self.send(self.hand, grip(hand, joints, q, squeeze, GRIP_TIME))
-        time.sleep(GRIP_TIME)  # its goal is never reached: the object is in the way
+        result = self.running[-1].get_result_async()
+        began = time.monotonic()
+        while time.monotonic() - began < GRIP_TIME:
+            rclpy.spin_once(self, timeout_sec=0.05)
+            succeeded(result)  # or it runs on: the object is in the way
         self.running = []
 
 
-def main() -> None:
+def succeeded(future: Future) -> bool:
+    """Whether a goal is reached; False while it runs. Exit if its controller failed."""
+    if not future.done():
+        return False
+    status, result = future.result().status, future.result().result
+    if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+        sys.exit(f"a controller failed: {result.error_string} ({result.error_code})")
+    if status != GoalStatus.STATUS_SUCCEEDED:  # cancelled by another: no error
+        sys.exit(f"a controller ended with status {status}")
+    return True
+
+
+def positive(text: str) -> float:
+    """A number above 0, of the command line."""
+    if not 0 < float(text) < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return float(text)
+
+
+def read_options() -> argparse.Namespace:
+    """Read the command line, and exit if it is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("motion", type=Path, help="of rgrasp plan --trajectory")
     parser.add_argument("plan", type=Path, help="plan.h5 of the same run")
@@ -195,14 +231,22 @@ def main() -> None:
     parser.add_argument("--gripper-open", type=float, help="position before the grasp")
     parser.add_argument("--gripper-closed", type=float, help="position to close towards")
     parser.add_argument("--gripper-effort", type=float, default=20.0, help="largest effort [N]")
-    parser.add_argument("--lift-speed", type=float, default=0.1, help="fastest joint [rad/s]")
+    parser.add_argument("--lift-speed", type=positive, default=0.1, help="fastest joint [rad/s]")
     parser.add_argument("--squeeze", type=float, default=0.1, help="beyond the contact [rad or m]")
     parser.add_argument("--accept-unlikely", action="store_true", help="also below 0.1")
-    parser.add_argument("--tolerance", type=float, default=0.02, help="before each step [rad or m]")
+    parser.add_argument(
+        "--tolerance", type=positive, default=0.02, help="before each step [rad or m]"
+    )
     options = parser.parse_args()
+    if not options.squeeze >= 0:
+        parser.error("--squeeze needs 0 or more")
     if options.gripper and None in (options.gripper_open, options.gripper_closed):
         parser.error("--gripper needs --gripper-open and --gripper-closed")
+    return options
 
+
+def main() -> None:
+    options = read_options()
     motion, lift = read_motion(options.motion), read_lift(options.plan, options.lift_speed)
     arm, hand = read_hand(options.robot)
     others = {*arm, *hand.followers}
@@ -223,13 +267,14 @@ def main() -> None:
     try:
         start = "the start of the motion: plan again with --start"
         node.require_at(checked, 0, options.tolerance, start)
+        node.wait_for_servers()
         if options.gripper:
             opened, *_ = node.move_gripper(options.gripper_open, options.gripper_effort)
             if not opened:
                 sys.exit(f"the gripper did not open to {options.gripper_open:g}")
-        node.send(node.arm, motion.of(arm))
-        if not options.gripper:
+        if not options.gripper:  # first: the arm stays where the hand refuses
             node.send(node.hand, motion.of(fingers))
+        node.send(node.arm, motion.of(arm))
         node.finish(motion.times[-1])
         node.require_at(checked, -1, options.tolerance, "the grasp")
         if options.gripper:

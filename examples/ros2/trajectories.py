@@ -139,6 +139,14 @@ def farthest_from(
     return max(off.items(), key=lambda item: item[1])
 
 
+def farthest_share(way: Trajectory, measured: Mapping[str, float]) -> float:
+    """Largest share of its way from first to last point that a joint has gone: 0 at its start."""
+    there = np.array([measured[name] for name in way.names])
+    first, last = way.positions[0], way.positions[-1]
+    moving = first != last
+    return float(np.max((there - first)[moving] / (last - first)[moving], initial=0.0))
+
+
 def apart(motion: Trajectory, grasp: Grasp) -> float:
     """Largest difference of a joint [rad or m] between the end of the motion and the grasp: 0 for
     the files of one plan."""
