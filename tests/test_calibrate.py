@@ -95,8 +95,25 @@ def test_a_fixed_camera_is_found(rendered: Path, tmp_path: Path, cli: Callable) 
     told = json.loads(done.out)
     assert told["images_used"] == COUNT
     assert told["error_px"] < 0.2
+    assert told["warnings"] == []
     assert told["error_mm"] < 0.5
     assert apart(np.array(told["T_target_board"]), T_GRIPPER_BOARD)[0] < 0.5
+
+
+@pytest.mark.parametrize(("square", "focal"), [(0.033, 1.0), (0.040, 1.0), (0.035, 1.05)])
+def test_large_residuals_are_a_warning(
+    rendered: Path, tmp_path: Path, cli: Callable, square: float, focal: float
+) -> None:
+    K = np.diag([focal, focal, 1.0]) @ HD.K
+    K[:2, 2] = HD.K[:2, 2]
+    (tmp_path / "K.json").write_text(json.dumps(K.tolist()))
+    done = cli(
+        "calibrate", rendered / "images", "--intrinsics", tmp_path / "K.json", "--robot-poses",
+        rendered / "fixed.json", "--square", square, "--out", tmp_path / "T.json", "--json", "-q",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert "check --square" in done.err
+    assert json.loads(done.out)["warnings"][0] in done.err
 
 
 def test_a_camera_on_the_wrist_is_found(rendered: Path, tmp_path: Path, cli: Callable) -> None:

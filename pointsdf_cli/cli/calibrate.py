@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 BOARD_SUFFIXES = (".pdf", ".png")
 PIXELS_A_SQUARE = 420
+LARGE_PIXELS, LARGE_MILLIMETRES = 1.0, 3.0
+"""Residuals (rms) above which something is wrong: good images have 0.1 px, good robots 1 mm."""
 
 
 def calibrate(
@@ -129,6 +131,12 @@ def calibrate(
         pose = T_world_base @ placed @ pose
     write_pose(out, pose)
     values = _values(found)
+    if values["error_px"] > LARGE_PIXELS or values["error_mm"] > LARGE_MILLIMETRES:
+        values["warnings"] = [
+            "images and robot's poses disagree, so the camera's pose may be centimetres wrong: "
+            "check --square as measured, the intrinsics with their distortion, and the poses"
+        ]
+        reporter.warn(*values["warnings"])
     facts = {"out": out, name: pose, "eye_in_hand": eye_in_hand}
     reporter.result({**facts, **values}, _lines(values, out, name))
 
@@ -164,6 +172,7 @@ def _values(found: Calibration) -> dict[str, Any]:
     return {
         "images_used": int(used.sum()),
         "outliers": found.outliers,
+        "warnings": [],
         "without_board": found.without_board,
         "poses_matched_by": "name" if found.matched_by_name else "order",
         **{name: _rms(each[used]) for name, each in errors.items()},
