@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -138,6 +139,62 @@ def arm(time: int, along: float, angle: float = 0.0) -> tuple[str, int, Any]:
     return "/tf", time, tf(time, {("base_link", "mount"): transform(turn, [along, 0, 0.5])})
 
 
+def test_the_median_of_many_images_takes_little_memory() -> None:
+    depths = np.random.default_rng(0).uniform(0.5, 1.0, (20, 600, 800)).astype(np.float32)
+    tracemalloc.start()
+    median_depth(depths)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < depths.nbytes
+
+
+@pytest.mark.parametrize(("left", "top", "bins"), [(0, 0, 2), (4, 2, 0), (4, 2, 2)])
+def test_camera_info_of_binned_and_cropped_images(
+    tmp_path: Path, cli: Callable, left: int, top: int, bins: int
+) -> None:
+    # As ROS defines: K and size of the whole image, the part taken of it, and its binning.
+    by = max(bins, 1)
+    whole = Camera(
+        8 * by + 2 * left, 6 * by + 2 * top, 500.0 * by, 400.0 * by, 3.0 * by + left, 2.0 * by + top
+    )
+    info = camera_info(BEGIN, whole)
+    info.binning_x = info.binning_y = bins
+    if left:
+        info.roi.x_offset, info.roi.y_offset = left, top
+        info.roi.width, info.roi.height = 8 * by, 6 * by
+    bag = write_bag(tmp_path / "bag", messages(raw(), **{INFO: (INFO, BEGIN, info)}))
+    done = cli("cloud", bag, "--out", tmp_path / "cloud.ply")
+    assert done.code == 0, done.err
+    assert np.allclose(read_cloud(tmp_path / "cloud.ply").points, POINTS, atol=1e-6)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_depths_in_another_unit_have_a_scale(tmp_path: Path, cli: Callable, packed: bool) -> None:
+    one = image(BEGIN, depth().astype("<f4"), "32FC1")
+    if packed:  # alone in its bag, it needs no --topic
+        one = compressed(BEGIN, "16UC1; compressedDepth png", png(depth()))
+    parts = messages([one])
+    if packed:
+        parts = [(t + "/compressedDepth" if t == TOPIC else t, *rest) for t, *rest in parts]
+    bag, out = write_bag(tmp_path / "bag", parts), tmp_path / "cloud.ply"
+    done = cli("cloud", bag, "--depth-scale", 0.001, "--out", out)
+    assert done.code == 0, done.err
+    assert np.allclose(read_cloud(out).points, POINTS, atol=1e-6)
+    assert "m a unit" in cli("cloud", bag, "--depth-scale", 0, "--out", out, "--force").err
+
+
+@pytest.mark.parametrize("command", ["plan", "mesh", "segment"])
+def test_commands_that_read_no_bags_name_the_one_that_does(
+    tmp_path: Path, cli: Callable, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bag = write_bag(tmp_path / "bag", messages(raw()))
+    for path in (bag, next(bag.glob("*.mcap"))):
+        done = cli(command, path)
+        assert done.code == 2
+        assert "rgrasp cloud reads ROS 2 bags" in done.err
+
+
 def test_a_camera_on_the_wrist_is_where_the_arm_was_then(tmp_path: Path, cli: Callable) -> None:
     static = ("/tf_static", BEGIN, tf(BEGIN, {("mount", FRAME): T_MOUNT_OPTICAL}))
     moving = [arm(BEGIN + k * SECOND // 20, 1.0, 10.0 * k) for k in range(5)]
@@ -182,7 +239,7 @@ def test_between_two_transforms_the_camera_is_between(tmp_path: Path, cli: Calla
         ((0.0, 0.6), 0.5, "the camera moves"),  # half a second apart
         ((0.0, 0.1, 0.2), 0.0, ""),
         ((0.0, 0.6), 0.0, ""),
-        ((2.0, 2.1), 0.0, "stamp is 1.5 s from the nearest of the transforms base_link → mount"),
+        ((2.0, 2.1), 0.0, "base_link → mount is 1.5 s from the image's stamp"),
     ],
 )
 def test_where_no_transforms_enclose_the_stamp_the_camera_must_stand_still(
@@ -296,6 +353,11 @@ RAW = "/camera/depth/image_raw"
 UNRECTIFIED = [
     (RAW if t == TOPIC else t, time, m) for t, time, m in messages(raw(), **{INFO: BENT})
 ]
+BENT_AT_0 = (INFO, BEGIN, camera_info(BEGIN, CAMERA))
+BENT_AT_0[2].distortion_model = "equidistant"
+FISHEYE = [
+    (RAW if t == TOPIC else t, time, m) for t, time, m in messages(raw(), **{INFO: BENT_AT_0})
+]
 JPEG = compressed(BEGIN, "16UC1; jpeg compressed", b"\xff\xd8\xff\xe0" + bytes(50))
 RVL = compressed(BEGIN, "16UC1; compressedDepth rvl", bytes(60))
 MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
@@ -313,6 +375,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "no camera_info": (of(messages(raw(), **{INFO: None})), "--intrinsics K.json"),
     "camera_info of another size": (of(messages(raw(), **{INFO: OTHER_INFO})), "640 × 480"),
+    "a fisheye": (of(FISHEYE), "equidistant, which is no pinhole"),
     "a distorted image": (of(UNRECTIFIED), "distorted"),
     "no transforms": (
         of(messages(raw(), **{"/tf_static": None}), "--world-frame", "base_link"), "/tf_static",

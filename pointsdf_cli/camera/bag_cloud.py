@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
-from pointsdf_cli.camera.intrinsics import SMALLEST_DISTORTION, read_intrinsics
+from pointsdf_cli.camera.intrinsics import SMALLEST_DISTORTION, lens_model, read_intrinsics
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.depth_images import check_scale
 from pointsdf_cli.io.rosbag import GAP, MOST_FRAMES, Bag, DepthFrames, chain, open_bag, pose_at
 
 STILL = 0.001
 """Largest motion [m, rad] of a camera that counts as standing still."""
+MOST_PIXELS = 20_000
+"""Number of pixels that the scatter of several images is taken from."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,8 @@ class BagOptions:
 
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= MOST_FRAMES:
-            raise InputError(
-                f"{self.frames} images", where="--frames", allowed=f"1 to {MOST_FRAMES}"
-            )
+            what, allowed = f"{self.frames} images", f"1 to {MOST_FRAMES}"
+            raise InputError(what, where="--frames", allowed=allowed)
         if self.time is not None and (self.index or not 0 <= self.time < 1e7):
             raise InputError(
                 "--time with --index" if self.index else f"{self.time} s",
@@ -63,6 +65,7 @@ def cloud_of_bag(
     intrinsics: str | None = None,
     nearest: float = 0.1,
     farthest: float = 2.5,
+    scale: float | None = None,
 ) -> tuple[Cloud, DepthFrames, list[str]]:
     """The cloud of one depth image, or of the median of several, in the camera's frame.
 
@@ -71,6 +74,7 @@ def cloud_of_bag(
         options: Selection of images.
         intrinsics: Intrinsics as for `read_intrinsics`; None takes camera_info.
         nearest, farthest: Range of valid depths [m].
+        scale: Metres a unit; None takes what ROS defines: mm for whole numbers, m for floats.
 
     Returns:
         The cloud, its images, and notes for the user.
@@ -83,9 +87,10 @@ def cloud_of_bag(
         raise InputError(
             "--info-topic with --intrinsics", where=path, hint="leave one of the two out"
         )
+    check_scale(scale)
     with open_bag(path) as bag:
         topic = bag.depth_topic(options.topic)
-        frames = bag.depth_frames(topic, options.index, options.time, options.frames)
+        frames = bag.depth_frames(topic, options.index, options.time, options.frames, scale)
         height, width = frames.depths.shape[1:]
         if intrinsics is None:
             camera = _camera(bag, frames, options.info_topic)
@@ -117,12 +122,14 @@ def median_depth(depths: NDArray[np.float32]) -> tuple[NDArray[np.float64], floa
     """
     seen = depths > 0
     often = 2 * seen.sum(axis=0) >= len(depths)
-    values = np.where(seen, depths, np.nan)[:, often].astype(np.float64)
-    if not values.size:
-        return np.zeros(depths.shape[1:]), 0.0
-    median = np.nanmedian(values, axis=0)
     depth = np.zeros(depths.shape[1:])
-    depth[often] = median
+    for row, some in enumerate(often):  # one at a time: many images would fill gigabytes
+        values = np.sort(np.where(seen[:, row], depths[:, row], np.inf)[:, some], axis=0)
+        number, column = seen[:, row, some].sum(axis=0), np.arange(some.sum())
+        middle = values[[(number - 1) // 2, number // 2], column]
+        depth[row, some] = middle.mean(axis=0, dtype=np.float64)
+    rows = slice(None, None, 1 + often.size // MOST_PIXELS)
+    values = np.where((seen & often)[:, rows], depths[:, rows], np.nan).astype(np.float64)
     # 1.4826: from the median absolute deviation to a Gaussian's standard deviation.
     steps = np.abs(np.diff(values, axis=0))
     spread = 1.4826 * float(np.nanmedian(steps)) / np.sqrt(2) if np.isfinite(steps).any() else 0.0
@@ -132,13 +139,19 @@ def median_depth(depths: NDArray[np.float32]) -> tuple[NDArray[np.float64], floa
 def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
     topic, info = bag.camera_info(frames, wanted)
     height, width = frames.depths.shape[1:]
+    crop = np.eye(3)
     if (info.width, info.height) != (width, height):
-        raise InputError(
-            f"{topic} is of images of {info.width} × {info.height}, and those on "
-            f"{frames.topic} have {width} × {height}",
-            where=bag.path,
-            allowed="the camera_info of the depth images themselves (--info-topic)",
-        )
+        # ROS gives K of the whole image, then the part that is taken of it, then its binning.
+        roi, bins = info.roi, np.maximum((info.binning_x, info.binning_y), 1)
+        size = np.array((roi.width or info.width, roi.height or info.height)) // bins
+        crop[:2] = np.diag(1 / bins) @ [[1, 0, -roi.x_offset], [0, 1, -roi.y_offset]]
+        if (*size,) != (width, height):
+            raise InputError(
+                f"{topic} is of images of {size[0]} × {size[1]}, and those on "
+                f"{frames.topic} have {width} × {height}",
+                where=bag.path,
+                allowed="the camera_info of the depth images themselves (--info-topic)",
+            )
     # The matrix P belongs to the rectified image, the distortion to the image before rectification.
     named = re.search(r"(^|[/_])rect(ified)?($|[/_])", frames.topic)
     rectified = named is not None and info.p[0] > 0
@@ -149,7 +162,9 @@ def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
             allowed="rectified depth images",
             hint="record the rectified topic (…/image_rect, from depth_image_proc or image_proc)",
         )
-    K = info.p.reshape(3, 4)[:, :3] if rectified else info.k.reshape(3, 3)
+    if not rectified:
+        lens_model({"distortion_model": info.distortion_model}, bag.path)
+    K = crop @ (info.p.reshape(3, 4)[:, :3] if rectified else info.k.reshape(3, 3))
     try:
         return Camera(width, height, *(float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
     except InputError as error:
@@ -178,20 +193,11 @@ def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | Non
     doubtful = {t for e in edges for at in stamps for t in bag.doubtful(e, transforms[e], at)}
     pose, *others = (pose_at(transforms, edges, world, time) for time in (*stamps, *doubtful))
     moved = [np.abs(other - pose).max() > STILL for other in others]
-    if any(moved[: len(stamps) - 1]):
-        raise InputError(
-            "the camera moves while the images are taken",
-            where="--frames",
-            allowed="several images of a camera that stands still, or --frames 1",
-        )
-    said = [f"the camera's pose in {world} from the bag's transforms"]
-    if doubtful:
-        what = f"no transforms at most {GAP / 1e9:g} s apart enclose the image's stamp"
-        if any(moved):
-            raise InputError(
-                f"the camera moves, and {what}: its pose is not known",
-                where=bag.path,
-                hint="take another image by --index or --time, or record /tf more often",
-            )
-        said.append(f"{what}: the pose holds if the camera stood still")
-    return pose, said
+    gap = f"no transforms at most {GAP / 1e9:g} s apart enclose the image's stamp"
+    if any(moved):
+        several = any(moved[: len(stamps) - 1])
+        what = "while the images are taken" if several else f"and {gap}"
+        hint = "--frames 1" if several else "another --index or --time; record /tf more often"
+        raise InputError(f"the camera moves {what}", where=bag.path, hint=hint)
+    said = f"the camera's pose in {world} from the bag's transforms"
+    return pose, [said, f"{gap}: the pose holds if the camera stood still"][: 1 + bool(doubtful)]

@@ -214,7 +214,7 @@ def _distortion(data: Mapping[str, Any]) -> dict[str, list[float]]:
     return found
 
 
-def _model(data: Mapping[str, Any], path: Path) -> str:
+def lens_model(data: Mapping[str, Any], path: Path) -> str:
     """The distortion model that a file names; "" for none.
 
     Raises:
@@ -248,12 +248,12 @@ def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
             "initUndistortRectifyMap with nearest-neighbour remap) and give the rectified K. "
             "RealSense depth images are rectified already: their own coefficients are 0",
         )
-    _model(data, path)
+    lens_model(data, path)
 
 
 def _coefficients(data: Mapping[str, Any], path: Path) -> tuple[float, ...]:
     """OpenCV's distortion coefficients; none if all are zero."""
-    model, given = _model(data, path), _distortion(data)
+    model, given = lens_model(data, path), _distortion(data)
     if not given:
         return ()
     found = next(iter(given.values()))

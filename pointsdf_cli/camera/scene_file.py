@@ -28,6 +28,7 @@ from pointsdf_cli.io.depth_images import (
 )
 from pointsdf_cli.io.input_files import require_suffix
 from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.rosbag import is_bag
 
 
 @dataclass(frozen=True)
@@ -124,8 +125,9 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
     Raises:
         InputError: The file cannot be read, or an option does not fit it.
     """
-    if path.is_dir():
-        raise InputError("is a folder", where=path, allowed="a depth image or a cloud")
+    if is_bag(path) and path.exists():
+        what, hint = "is a folder" if path.is_dir() else "is a bag", "rgrasp cloud reads ROS 2 bags"
+        raise InputError(what, where=path, allowed="a depth image or a cloud", hint=hint)
     if is_depth_image(path, options.intrinsics):
         return _read_depth_view(path, options, T_world_camera)
     if options.intrinsics is not None:

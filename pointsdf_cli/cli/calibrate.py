@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 BOARD_SUFFIXES = (".pdf", ".png")
 PIXELS_A_SQUARE = 420
-LARGE_PIXELS, LARGE_MILLIMETRES = 1.0, 3.0
-"""Residuals (rms) above which something is wrong: good images have 0.1 px, good robots 1 mm."""
+LARGE_PIXELS, LARGE_MILLIMETRES = 1.0, 3.0  # rms; good images have 0.1 px, good robots 1 mm
 
 
 def calibrate(

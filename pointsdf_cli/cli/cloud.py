@@ -92,8 +92,7 @@ def cloud(
     options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
     reporter, cleaned = common.Reporter(quiet, as_json), not no_clean
     if is_bag(depth):
-        of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
-        if option := first_given(of_images):
+        if option := first_given({"--color": color, "--mask": mask}):
             raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
         made, about, source, notes = _cloud_of_bag(depth, bag, options, camera_pose, cleaned)
     else:
@@ -168,7 +167,8 @@ def _cloud_of_bag(
     if pose is not None and bag.world_frame is not None:
         what = "two poses: --world-frame and --camera-pose"
         raise InputError(what, where=path, hint="leave one out")
-    made, frames, said = cloud_of_bag(path, bag, options.intrinsics, options.near, options.far)
+    given = options.intrinsics, options.near, options.far, options.depth_scale
+    made, frames, said = cloud_of_bag(path, bag, *given)
     said += made.notes
     if cleaned:
         made, report = cleaned_view(made, whole_scene=True)

@@ -24,6 +24,14 @@ LONGEST_HEAD = 1 << 20
 """Bytes of a PGM file that its header and comments may take up."""
 
 
+def check_scale(scale: float | None) -> None:
+    """Refuse a number of metres a unit that is out of its range."""
+    if scale is not None and not 1e-6 <= scale <= 10:
+        raise InputError(
+            f"{scale} m a unit", where="--depth-scale", allowed="0.000001 to 10; 0.001 for mm"
+        )
+
+
 def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float64]:
     """A depth image f8 [height, width] in m along z; 0 where the camera saw nothing.
 
@@ -36,10 +44,7 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
             positive.
     """
     path = Path(path)
-    if scale is not None and not 1e-6 <= scale <= 10:
-        raise InputError(
-            f"{scale} m a unit", where="--depth-scale", allowed="0.000001 to 10; 0.001 for mm"
-        )
+    check_scale(scale)
     values = _array(path) if path.suffix.lower() == ".npy" else _image(path)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]

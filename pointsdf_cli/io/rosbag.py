@@ -9,6 +9,7 @@ from bisect import bisect_left
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,7 @@ NEAR_IN_TIME = 1_000_000_000
 """A moving transform [ns] older or newer than this does not say where the camera was."""
 GAP = 200_000_000
 """Longest time [ns] between two transforms to interpolate a motion in: 5 mm off at 1 m/s²."""
-STATIC = -1
-"""The stamp of transforms that hold always."""
+STATIC = -1  # the stamp of transforms that hold always
 Edge = tuple[str, str]
 Samples = list[tuple[int, Array]]
 """Stamps [ns], ascending, and transforms [4, 4]."""
@@ -73,8 +73,7 @@ class Bag:
 
     def topics(self, *kinds: str) -> list[str]:
         """Names of the topics of these message types."""
-        found = {c.topic for c in self._reader.connections if c.msgtype in kinds}
-        return sorted(found)
+        return sorted({c.topic for c in self._reader.connections if c.msgtype in kinds})
 
     def messages(
         self, topics: Sequence[str], start: int | None = None, stop: int | None = None
@@ -94,7 +93,9 @@ class Bag:
         there = self.topics(IMAGE, COMPRESSED)
         if wanted is None:
             what = "which images are the depth images?"
-            found = [t for t in there if "depth" in t and t.rpartition("/")[2] not in TRANSPORTS]
+            named = [t for t in there if "depth" in t]
+            # The same images, compressed, are beside them.
+            found = [t for t in named if t.rpartition("/")[2] not in TRANSPORTS] or named
         else:
             what, found = f"has no images on {wanted}", [t for t in there if t == wanted]
         if len(found) != 1:
@@ -107,7 +108,9 @@ class Bag:
             )
         return found[0]
 
-    def depth_frames(self, topic: str, index: int, time: float | None, count: int) -> DepthFrames:
+    def depth_frames(
+        self, topic: str, index: int, time: float | None, count: int, scale: float | None = None
+    ) -> DepthFrames:
         """Consecutive depth images of a topic.
 
         Args:
@@ -115,54 +118,35 @@ class Bag:
             index: The first one, from 0; from -1 backwards counts from the end.
             time: If given, the first image this many seconds after the bag's beginning instead.
             count: Number of images.
+            scale: Metres a unit; None for those of the encoding.
 
         Raises:
             InputError: There are not so many images, they are no depth images, or differ in size.
         """
         start = None if time is None else self._reader.start_time + round(1e9 * time)
-        if index < 0:
+        first = index if index >= 0 else index + sum(1 for _ in self.messages([topic]))
+        messages = islice(self.messages([topic], start), max(first, 0), max(first, 0) + count)
+        found = [
+            (message.header, recorded, depth_of_message(message, self.path, topic, scale))
+            for _, recorded, message in messages
+        ]
+        if len(found) < count or first < 0:
             there = sum(1 for _ in self.messages([topic]))
-            if index < -there:
-                raise self._too_few(topic, there, index, time, count)
-            index += there
-        depths: list[NDArray[np.float32]] = []
-        stamps: list[int] = []
-        times: list[int] = []
-        seen, frame = 0, ""
-        for _, recorded, message in self.messages([topic], start):
-            seen += 1
-            if time is None and seen <= index:
-                continue
-            depths.append(depth_of_message(message, self.path, topic))
-            if depths[-1].shape != depths[0].shape:
-                raise InputError(f"images on {topic} differ in size", where=self.path)
-            stamps.append(_nanoseconds(message.header.stamp))
-            times.append(recorded)
-            frame = message.header.frame_id.lstrip("/")
-            if len(depths) == count:
-                break
-        if len(depths) < count or index < 0:
-            raise self._too_few(topic, seen, index, time, count)
-        first = index if time is None else -1
-        return DepthFrames(topic, np.stack(depths), frame, np.array(stamps), np.array(times), first)
-
-    def _too_few(
-        self, topic: str, seen: int, index: int, time: float | None, count: int
-    ) -> InputError:
-        if time is not None:
             length = (self._reader.end_time - self._reader.start_time) / 1e9
-            return InputError(
-                f"has {seen} images on {topic} after {time:g} s, and {count} are asked for",
+            asked = f"image {index}" if count == 1 else f"images {index} to {index + count - 1}"
+            after = "" if time is None else f" after {time:g} s"
+            raise InputError(
+                f"has {there} images on {topic}, and {asked}{after} asked for",
                 where=self.path,
-                allowed=f"a --time from 0 to {length:.1f} s that leaves as many",
-            )
-        wanted = f"image {index}" if count == 1 else f"images {index} to {index + count - 1}"
-        return InputError(
-            f"has {seen} images on {topic}, and {wanted} asked for",
-            where=self.path,
-            allowed=f"--index {-seen} to {seen - 1}, and as many --frames as follow" if seen else
-            "a topic with images",
-        )  # fmt: skip
+                allowed=f"--index {-there} to {there - 1} or --time 0 to {length:.1f}, and as many "
+                "--frames as follow" if there else "a topic with images",
+            )  # fmt: skip
+        headers, times, depths = zip(*found, strict=True)
+        if len({depth.shape for depth in depths}) > 1:
+            raise InputError(f"images on {topic} differ in size", where=self.path)
+        stamps = np.array([_nanoseconds(header.stamp) for header in headers])
+        frame, number = headers[-1].frame_id.lstrip("/"), first if time is None else -1
+        return DepthFrames(topic, np.stack(depths), frame, stamps, np.array(times), number)
 
     def camera_info(self, frames: DepthFrames, wanted: str | None) -> tuple[str, Any]:
         """Topic and message of the camera_info of depth images: beside their topic, or the only one
@@ -172,14 +156,16 @@ class Bag:
             InputError: There is none, or several are to choose from.
         """
         there = self.topics(CAMERA_INFO)
+        info = {t: message for t in there for _, _, message in islice(self.messages([t]), 1)}
         parts = frames.topic.split("/")
         base = parts[:-2] if parts[-1] in TRANSPORTS else parts[:-1]
         topic = wanted or "/".join([*base, "camera_info"])
         if topic not in there and wanted is None:
-            size = frames.depths.shape[:0:-1]
-            same = [t for t in there if self._describes(t, frames.frame, size)]
+            about = {t: (i.header.frame_id.lstrip("/"), i.width, i.height) for t, i in info.items()}
+            mine = frames.frame, *frames.depths.shape[:0:-1]
+            same = [name for name in about if about[name] == mine]
             topic = same[0] if len(same) == 1 else topic
-        message = self._first(topic) if topic in there else None
+        message = info.get(topic)
         if message is None:
             raise InputError(
                 f"has no camera_info for {frames.topic} (looked for {topic})",
@@ -188,17 +174,6 @@ class Bag:
                 hint="--intrinsics K.json gives them by hand",
             )
         return topic, message
-
-    def _describes(self, topic: str, frame: str, size: tuple[int, ...]) -> bool:
-        found = self._first(topic)
-        if found is None:
-            return False
-        same = found.header.frame_id.lstrip("/") == frame
-        return bool(same and (found.width, found.height) == size)
-
-    def _first(self, topic: str) -> Any:
-        """The first message of a topic; None if there is none."""
-        return next((message for _, _, message in self.messages([topic])), None)
 
     def transforms(self, first: int, last: int) -> dict[Edge, Samples]:
         """T_parent_child by (parent, child): the static ones, and the moving ones about images
@@ -228,20 +203,20 @@ class Bag:
         Raises:
             InputError: No valid transform is near.
         """
-        what, hint = f"{edge[0]} → {edge[1]}", "give --camera-pose"
-        if not samples:
-            what = f"the transform {what} is no rotation and translation"
-            raise InputError(what, where=self.path, hint=hint)
-        before, after = (time for time, _ in _around(samples, stamp))
-        if before == STATIC or stamp == after:
+        times = [time for time, _ in samples]
+        if times == [STATIC] or stamp in times:
             return set()
-        if before <= stamp <= after:
+        if times and times[0] < stamp < times[-1]:
+            before, after = (time for time, _ in _around(samples, stamp))
             return {before, after} if after - before > GAP else set()
-        near = {time for time, _ in samples if abs(time - stamp) <= NEAR_IN_TIME}
+        near = {time for time in times if abs(time - stamp) <= NEAR_IN_TIME}
         if not near:
-            away = min(abs(before - stamp), abs(after - stamp)) / 1e9
-            what = f"the image's stamp is {away:.1f} s from the nearest of the transforms {what}"
-            hint = f"does the camera's driver stamp by another clock? Or {hint}"
+            what, hint = "is no rotation and translation", "give --camera-pose"
+            if times:
+                away = min(abs(time - stamp) for time in times) / 1e9
+                what = f"is {away:.1f} s from the image's stamp, or more"
+                hint = f"does the camera's driver stamp by another clock? Or {hint}"
+            what = f"the transform {edge[0]} → {edge[1]} {what}"
             raise InputError(what, where=self.path, hint=hint)
         return near
 
