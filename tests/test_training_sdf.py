@@ -227,6 +227,20 @@ def test_views_and_labels_are_of_one_mesh_in_one_unit(artifacts: Path, tmp_path:
         open_pack(pairs, tmp_path / "pack")
 
 
+def test_a_mesh_rendered_twice_is_held_out_under_both_names(pack: Pack) -> None:
+    twice = replace(pack, meshes=("one", "two", "one"))
+    for seed in range(4):
+        for held_before in ((), pack.names[:1]):
+            split = split_views(twice, 0.34, seed, held_before)
+            taught = {twice.meshes[k] for k in pack.object_of_view[split.train]}
+            assert len(taught) == 1
+            assert taught.isdisjoint(
+                twice.meshes[k] for k in pack.object_of_view[split.held_out_objects]
+            )
+    with pytest.raises(InputError, match="1 object"):
+        split_views(replace(pack, meshes=("one",) * 3), 0.34, 0)
+
+
 def test_objects_held_out_before_are_known_by_their_meshes(pack: Pack) -> None:
     held = {"held_out": ["balls/0"], "held_out_meshes": [f"{2:064d}"]}
     assert held_out_before(pack, held) == {pack.names[2]}

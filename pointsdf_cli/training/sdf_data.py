@@ -99,7 +99,10 @@ def split_views(
     Raises:
         InputError: Fewer than two objects.
     """
-    total = len(pack.names)
+    # An object is a mesh: rendered twice it has two names, and is known by either.
+    number = {mesh: k for k, mesh in enumerate(dict.fromkeys(pack.meshes))}
+    mesh_of = np.array([number[mesh] for mesh in pack.meshes])
+    total = len(number)
     if total < 2:
         raise InputError(
             f"{total} object: one is needed to train and another to validate",
@@ -108,10 +111,10 @@ def split_views(
         )
     rng = np.random.default_rng([seed, 0])
     order = rng.permutation(total)
-    before = np.isin([pack.names[k] for k in order], list(held_before))
+    before = np.isin(order, mesh_of[np.isin(pack.names, list(held_before))])
     order = np.concatenate([order[before], order[~before]])
     held_out = min(total - 1, int(before.sum()) or max(1, round(share * total)))
-    is_held_out = np.isin(pack.object_of_view, order[:held_out])
+    is_held_out = np.isin(mesh_of[pack.object_of_view], order[:held_out])
     validating = np.flatnonzero(is_held_out)
     if len(validating) > most:
         validating = validating[np.linspace(0, len(validating) - 1, most).astype(int)]
