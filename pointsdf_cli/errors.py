@@ -1,11 +1,12 @@
 """The errors that a user can cause or must act on; all others are bugs and keep their traceback.
 
-An error says what is wrong, where, what is allowed, and what to type next. `cli.main` is the only
-place that catches these; it prints the message and leaves with `exit_code`.
+An error says what is wrong, where, what is allowed, and what to type next. `cli.main`, or a
+script's `leave_with_message`, prints the message and leaves with `exit_code`.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -58,6 +59,20 @@ class InputError(RgraspError):
     """The user's input or options cannot be used (exit code 2)."""
 
     exit_code = 2
+
+
+@contextmanager
+def leave_with_message() -> Iterator[None]:
+    """Context of a script: prints an error of these, and leaves with its exit code.
+
+    Raises:
+        SystemExit: The block raised such an error.
+    """
+    try:
+        yield
+    except RgraspError as error:
+        print(error.message, file=sys.stderr)
+        sys.exit(error.exit_code)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,15 +17,17 @@ from scipy.spatial import KDTree
 
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
+from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.checkpoints import read_config
+from pointsdf_cli.io.checkpoints import read_checkpoint, read_config
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.models.neighbours import nearest_neighbours
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.surroundings import surroundings_of
 from pointsdf_cli.objects.generate import make_object
+from pointsdf_cli.training.sdf_config import TrainConfig
 
 GPU = Path(__file__).parents[1] / "pipelines" / "gpu"
 WEIGHTS = GPU.parents[1] / "assets" / "weights" / "pointsdf_real"
@@ -214,15 +217,69 @@ def test_a_short_run_writes_a_checkpoint(tmp_path):
     data = read_config(tmp_path / "out")["data"]
     assert (data["seed"], data["objects"], data["scans"]) == (1000, 8, 0)
 
+    again = subprocess.run(learn, capture_output=True, text=True, check=False)
+    assert (again.returncode, "holds a checkpoint already" in again.stderr) == (2, True)
+    learn[3:] = [tmp_path / "few", *learn[4:], "--first-views", "400"]
+    few = subprocess.run(learn, capture_output=True, text=True, check=False)
+    assert few.returncode == 2
+    assert "no more are made" in few.stderr
+    learn[2] = tmp_path / "viwes"
+    with subprocess.Popen(["timeout", "100", *learn], stdout=subprocess.PIPE, text=True) as waiting:
+        assert waiting.stdout is not None
+        assert str(learn[2]) in waiting.stdout.readline()
+        waiting.terminate()
 
-def test_a_scan_becomes_several_objects(tmp_path):
+
+def test_only_better_finite_weights_replace_a_checkpoint(tmp_path, gpu, monkeypatch):
+    import learn
+
+    losses = iter((0.3, 0.2, 0.25, float("nan")))
+    weights = (torch.full((2,), float(k)) for k in range(9))
+    run = object.__new__(learn.Run)
+    run._options = argparse.Namespace(start_from=None, out=tmp_path / "out", views=tmp_path)
+    run._began, run._best, run._held_out, run._views = 0.0, None, None, SimpleNamespace(count=1)
+    run._training = SimpleNamespace(
+        validate=lambda _: {"object_loss": next(losses)},
+        steps=7,
+        config=TrainConfig(),
+        model=SimpleNamespace(architecture="pointsdf-ray", config=dict),
+        average=SimpleNamespace(weights=lambda: {"w": next(weights)}),
+    )
+    for kept in (0.3, 0.2, 0.2):
+        run._save()
+        assert read_config(tmp_path / "out")["best"]["object_loss"] == kept
+    with pytest.raises(RgraspError, match="nan"):
+        run._save()
+    assert read_checkpoint(tmp_path / "out").weights["w"].tolist() == [1.0, 1.0]
+
+
+def one_box(folder: Path) -> argparse.Namespace:
+    """Options of make_views.py for one scan."""
+    trimesh.creation.box((0.04, 0.06, 0.1)).export(folder / "box.ply")
+    return argparse.Namespace(
+        validation=0, seed=5, objects=3, meshes=folder, group=100, views=1, exact=1.0,
+        spread=0.0, dark=0.0, samplings=0, out=folder / "out",
+    )  # fmt: skip
+
+
+def test_views_of_other_options_or_scans_are_not_used_again(tmp_path, gpu):
     import make_views
 
-    trimesh.creation.box((0.04, 0.06, 0.1)).export(tmp_path / "box.ply")
-    options = argparse.Namespace(
-        validation=0, seed=5, objects=3, meshes=tmp_path, group=100, views=1, exact=1.0,
-        spread=0.0, dark=0.0, samplings=0, out=tmp_path,
-    )  # fmt: skip
+    options = one_box(tmp_path)
+    for _ in range(2):
+        make_views.write_recipe(options)
+    trimesh.creation.icosphere(radius=0.03).export(tmp_path / "box.ply")  # as many, of its name
+    with pytest.raises(InputError, match="scans_sha256"):
+        make_views.write_recipe(options)
+    options.meshes, options.group = None, 12
+    with pytest.raises(InputError, match="group, scans, scans_sha256"):
+        make_views.write_recipe(options)
+
+
+def test_a_scan_becomes_several_objects(tmp_path, gpu):
+    import make_views
+
+    options = one_box(tmp_path)
     first = next(make_views.tasks(options))
     scans = sorted((one for one in first.sources if one.path), key=lambda one: one.number)
     assert [one.number for one in scans] == list(range(3, 3 + make_views.SCAN_SHAPES))
@@ -243,4 +300,5 @@ def test_training_ends_where_its_views_end(tmp_path: Path) -> None:
     )  # fmt: skip
     assert ran.returncode == 1
     assert "make_views.py ended" in ran.stderr
+    assert "no such folder" in ran.stderr
     assert "nowhere" in (tmp_path / "work" / "views.log").read_text()

@@ -4,7 +4,8 @@
 
 Loss, optimiser, schedule and averaging are those of `train-sdf`. A step is recorded once as a CUDA
 graph and replayed: its 1500 small operations cost more to launch than to run. OUT is a checkpoint
-as `train-sdf` writes it, of the averaged weights, renewed every `--validate` minutes.
+as `train-sdf` writes it: of the averaged weights those with the lowest held-out loss, which is
+measured every `--validate` minutes.
 """
 
 from __future__ import annotations
@@ -21,11 +22,18 @@ from typing import Any
 
 import kernels
 import torch
-from make_views import MOST_POINTS, RECIPE
+from make_views import MOST_POINTS
+from recipe import ENDED, RECIPE
 from torch import Tensor
 from views_on_device import Symmetry, Views
 
-from pointsdf_cli.io.checkpoints import read_config, write_checkpoint
+from pointsdf_cli.errors import InputError, leave_with_message
+from pointsdf_cli.io.checkpoints import (
+    forget_train_state,
+    read_config,
+    require_checkpoint_place,
+    write_checkpoint,
+)
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.box_frame import box_around
 from pointsdf_cli.models.neighbours import SEARCHES
@@ -37,6 +45,7 @@ from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.presets import settings
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Batch, predict
+from pointsdf_cli.training.sdf_loop import finite
 from pointsdf_cli.training.sdf_loss import label_iou, sdf_loss
 
 FILES_AT_ONCE = 3
@@ -194,10 +203,17 @@ def _keep_reading(files: Files, views: Views, over: threading.Event) -> None:
 
 
 class Run:
-    """A training with its data and its checkpoint, as the command's options say."""
+    """A training with its data and its checkpoint, as the command's options say.
+
+    Raises:
+        InputError: A checkpoint is there already, or too few views are and no more are made.
+        RgraspError: The loss is no longer finite.
+    """
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._options, device = options, torch.device(options.device)
+        require_checkpoint_place(options.out, replace=options.force)
+        self._best: dict[str, float] | None = None
         torch.manual_seed(options.seed)
         keep_large_allocations()
         if device.type == "cuda":
@@ -210,6 +226,8 @@ class Run:
         model = RayWithSymmetry(**source.config() | {"most_points": max(options.points)})
         model.load_state_dict(source.state_dict())
         sizes = sorted(options.points)
+        if not (options.views / RECIPE).exists():
+            print(f"waiting for make_views.py to begin with {options.views}", flush=True)
         while not (options.views / RECIPE).exists():
             time.sleep(0.2)
         like = device, model.sideways, sizes, self._recipe().get("samplings", 0)
@@ -221,11 +239,24 @@ class Run:
         self._training = Training(model, self._views, config, device)
 
     def _wait_for_views(self) -> None:
-        held_files, few = Files(self._options.views / "valid"), self._options.first_views
-        while held_files.add_to(self._held_out) or not self._held_out.count or (
-            self._views.count < few
-        ):  # fmt: skip
-            self._files.add_to(self._views)
+        folder, few = self._options.views, self._options.first_views
+        held_files = Files(folder / "valid")
+        print(f"waiting for {few} views in {folder}, and held-out ones", flush=True)
+        while True:
+            ended = (folder / ENDED).exists()  # before the files that it is the last of
+            if held_files.add_to(self._held_out):
+                continue
+            if self._held_out.count and self._views.count >= few:
+                break
+            if self._files.add_to(self._views):
+                continue
+            if ended:
+                raise InputError(
+                    f"holds {self._views.count} views and {self._held_out.count} held-out ones, "
+                    "and no more are made",
+                    where=folder,
+                    allowed="as many as --first-views, and at least one held out",
+                )
             time.sleep(0.2)
         self._views.refresh()
 
@@ -244,7 +275,7 @@ class Run:
         while minutes < self._options.minutes:
             training.take_step(minutes / self._options.minutes)
             if training.steps % REPORT_EVERY == 0:
-                loss = float(training.loss_sum) / REPORT_EVERY
+                loss = finite(float(training.loss_sum) / REPORT_EVERY, training.steps)
                 training.loss_sum.zero_()
                 if reader.done():
                     reader.result()  # raises what ended it
@@ -260,25 +291,30 @@ class Run:
         return json.loads(file.read_text()) if file.exists() else {}
 
     def _save(self) -> None:
-        """Validate the averaged weights and write them."""
+        """Validate the averaged weights and write them, unless better ones are there."""
         training, start = self._training, self._options.start_from
         seconds = round(time.monotonic() - self._began, 1)
         entry = {"step": training.steps, "seconds": seconds, **training.validate(self._held_out)}
         print(entry, flush=True)
+        held_out_loss = finite(entry["object_loss"], training.steps)
+        is_best = self._best is None or held_out_loss < self._best["object_loss"]
+        self._best = entry if is_best else self._best
         config = {
             "architecture": training.model.architecture,
             "model": training.model.config(),
             "training": asdict(training.config),
             "progress": {"step": training.steps, "seconds": seconds},
-            "best": entry,
+            "best": self._best,
             "started_from": read_config(start) if start else None,
             "data": {"view_count": self._views.count, **self._recipe()},
             "git_commit": git_commit(),
         }
-        weights = training.average.weights()
+        weights = training.average.weights() if is_best else None
+        forget_train_state(self._options.out)  # of a run that this one replaces
         write_checkpoint(self._options.out, config=config, weights=weights, half=True)
 
 
+@leave_with_message()
 def main() -> None:
     """Train until the time is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -295,6 +331,7 @@ def main() -> None:
     parser.add_argument("--objects", type=int, default=10_000)
     parser.add_argument("--first-views", type=int, default=2000, help="views to wait for")
     parser.add_argument("--validate", type=float, default=2.0, help="minutes between validations")
+    parser.add_argument("--force", action="store_true", help="replace a checkpoint")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
 import multiprocessing
 import os
@@ -25,6 +24,7 @@ from pathlib import Path
 
 import kernels
 import numpy as np
+import recipe
 import torch
 from numpy.typing import NDArray
 from rays import use_embree_without_open3d
@@ -32,13 +32,13 @@ from threadpoolctl import threadpool_limits
 
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.scene_views import SceneView, SceneViewConfig, SceneViews
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.sdf_sampling import BOX, MARGIN, NEAR_VARIANCE, WIDE_VARIANCE
 from pointsdf_cli.geometry.signed_distance import sample_surface
 from pointsdf_cli.geometry.visibility import SIZE
 from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
-from pointsdf_cli.io.provenance import git_commit
+from pointsdf_cli.io.provenance import data_sha256, file_sha256, git_commit
 from pointsdf_cli.models.neighbours import farthest_point_order, nearest_neighbours
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.shape_model import PACKED_CENTRES, PACKED_NEIGHBOURS
@@ -59,8 +59,6 @@ ALL_INSIDE = 99.0
 COLOUR = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
 """Depth registered to a colour camera of long focal length."""
 CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0.2}
-RECIPE = "recipe.json"
-"""File beside the views with the options that made them."""
 SENSORS = ("ideal", *3 * ("structured-light",), *2 * ("stereo",))
 """Sensors, one drawn for each view; those that err are repeated to be drawn more often."""
 VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
@@ -275,21 +273,27 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
 
 
 def write_recipe(options: argparse.Namespace) -> None:
-    """Write the options that decide what the views are, for the checkpoint's config."""
-    names = ("seed", "objects", "views", "exact", "spread", "dark", "samplings")
-    recipe = {name: getattr(options, name) for name in names} | {
-        "scans": len(find_meshes(options.meshes)) if options.meshes else 0,
+    """Write the options that decide what the views are, for the checkpoint's config.
+
+    Raises:
+        InputError: Others made the views that are there.
+    """
+    names = ("seed", "objects", "views", "exact", "spread", "dark", "samplings", "group")
+    scans = find_meshes(options.meshes) if options.meshes else []
+    deciding = {name: getattr(options, name) for name in (*names, "validation")} | {
+        "scans": len(scans),
+        "scans_sha256": data_sha256(map(file_sha256, scans)),
         "shapes_per_scan": SCAN_SHAPES,
         "stretched": STRETCHED,
         "stretch": STRETCH,
-        "sensors": SENSORS,
+        "sensors": list(SENSORS),
         "camera_shares": CAMERA_SHARES,
         "git_commit": git_commit(),
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / RECIPE).write_text(json.dumps(recipe, indent=1))
+    recipe.begin(options.out, deciding)
 
 
+@leave_with_message()
 def main() -> None:
     """Make files until the time is over; those that are there are not made again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -334,6 +338,7 @@ def main() -> None:
                 print(f"{made} views", flush=True)
             time.sleep(0.05)
         pool.terminate()
+    (options.out / recipe.ENDED).touch()
 
 
 if __name__ == "__main__":

@@ -195,7 +195,7 @@ class _Run:
         Raises:
             RgraspError: Their losses are not finite.
         """
-        read, steps = _finite(float(self._unread), self.step), self._unread_count
+        read, steps = finite(float(self._unread), self.step), self._unread_count
         self._loss_sum += read
         self._clear_unread()
         speed = steps * self._config.batch_size / seconds
@@ -213,7 +213,7 @@ class _Run:
             RgraspError: It is not finite.
         """
         total = self._workers.mean(self._loss_sum + float(self._unread))
-        self._loss_sum = _finite(total, self.step)
+        self._loss_sum = finite(total, self.step)
         self._clear_unread()
 
     def validate(self) -> dict[str, float]:
@@ -298,7 +298,12 @@ def _require_enough_clouds(
         )
 
 
-def _finite(loss: float, step: int) -> float:
+def finite(loss: float, step: int) -> float:
+    """The loss of a step.
+
+    Raises:
+        RgraspError: It is NaN or infinite.
+    """
     if not math.isfinite(loss):
         raise RgraspError(f"the loss is {loss} at step {step}", hint="lower --learning-rate")
     return loss
