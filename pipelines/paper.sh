@@ -10,7 +10,11 @@
 set -euo pipefail
 scale=${SCALE:-tiny}
 work=$(realpath -m "${1:-paper-$scale}")
-TEST_MESHES=${TEST_MESHES:+$(realpath "$TEST_MESHES")}
+TEST_MESHES=${TEST_MESHES:+$(realpath -m "$TEST_MESHES")}
+if [ -n "$TEST_MESHES" ] && [ ! -e "$TEST_MESHES" ]; then
+    echo "TEST_MESHES=$TEST_MESHES: no such folder" >&2
+    exit 2
+fi
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-0}
 # shellcheck source=pipelines/scales.sh

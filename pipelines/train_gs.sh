@@ -4,7 +4,7 @@
 # GRASPS    folder that `rgrasp collect-grasps` wrote
 # WORK      folder for checkpoints, figure3.json and figure3.png
 # VARIANTS  which networks, in this order; those that WORK has already finished from the
-#           same grasps and options are kept:
+#           same grasps, reconstruction and options are kept:
 #           "geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch"
 # SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
 #           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
@@ -27,19 +27,20 @@ mkdir -p "$work"
 rows=()
 for variant in $variants; do
     out=$work/$variant
-    options=(--half)
+    options=(--half) sdf=
     case $variant in
-    geometry) [ -z "${SDF:-}" ] || options+=(--sdf "$SDF") ;;
+    geometry) sdf=${SDF:-} ;;
     pointsdf-fixed | pointsdf-fine-tuned)
         options+=(--encoder pointsdf --mode "${variant#pointsdf-}")
-        [ -z "${SDF:-}" ] || options+=(--sdf "$SDF")
+        sdf=${SDF:-}
         ;;
     voxelcnn-fixed)
         if [ -z "${VOXELCNN:-}" ]; then
             echo "voxelcnn-fixed is left out: VOXELCNN names no trained VoxelCNN" >&2
             continue
         fi
-        options+=(--encoder voxelcnn --sdf "$VOXELCNN")
+        options+=(--encoder voxelcnn)
+        sdf=$VOXELCNN
         ;;
     # Encoders overfit a few hundred objects soon: few epochs, whose rate falls to nothing.
     pointsdf-scratch | voxelcnn-scratch)
@@ -50,9 +51,12 @@ for variant in $variants; do
         exit 2
         ;;
     esac
-    # Grasps by name and size: a network of other grasps or options is trained anew.
+    [ -z "$sdf" ] || options+=(--sdf "$sdf")
+    # Grasps by name and size, the reconstruction by its weights: a network of others, or of other
+    # options, is trained anew.
     asked="$variant ${options[*]} ${OPTIONS:-} $(
-        find "$grasps" -name '*.h5' -printf '%P %s\n' | sort | sha256sum
+        find "$grasps" -name '*.h5' -printf '%P %s\n' | sort | cat - ${sdf:+"$sdf/model.safetensors"} |
+            sha256sum
     )"
     before=$(cat "$out.asked" 2>/dev/null || true)
     if [ ! -e "$out/finished" ] || [ "$asked" != "$before" ]; then

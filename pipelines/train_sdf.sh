@@ -25,8 +25,8 @@ scenes() { # views of tables: a fifth exact, in the others masks and, in two of 
 labels() {
     rgrasp label-sdf --views "$work/exact/$2" --meshes "$1" --out "$work/labels/$2" --points "$3" --skip-bad
 }
-for half in "far 1.5 xtion 0" "near 0.9 $work/colour.json 1"; do
-    read -r name distance camera more <<<"$half"
+for half in "far 1.5 0 xtion" "near 0.9 1 $work/colour.json"; do
+    read -r name distance more camera <<<"$half" # the last takes a path with spaces whole
     rgrasp objects make --out "$work/meshes/$name" --count $((objects / 2)) --seed $((2 * seed + more))
     exact "$work/meshes/$name" "$name" 8 "$distance"
     labels "$work/meshes/$name" "$name" 16000
