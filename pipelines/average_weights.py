@@ -11,15 +11,26 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.io.checkpoints import read_checkpoint, write_checkpoint
 
 OF_A_RUN = ("training", "progress", "best", "data", "git_commit")
 """Entries of a checkpoint's configuration that describe its last run."""
 
 
+@leave_with_message()
 def main(first_path: Path, second_path: Path, share: float, out: Path) -> None:
-    """Write the mean with the configuration of SECOND and, under `mean`, the first run."""
+    """Write the mean with the configuration of SECOND and, under `mean`, the first run.
+
+    Raises:
+        SystemExit: SHARE is not from 0 to 1, or the networks are not of one kind and size.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise InputError(f"{share} is no share", where="SHARE", allowed="0 to 1")
     first, second = read_checkpoint(first_path), read_checkpoint(second_path)
+    kinds = [{name: value.shape for name, value in one.weights.items()} for one in (first, second)]
+    if kinds[0] != kinds[1]:
+        raise InputError(f"has other weights than {first_path}", where=second_path)
     weights = {
         name: (1 - share) * first.weights[name].float() + share * value.float()
         if value.is_floating_point()
