@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.io.grasps import read_grasps
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
@@ -121,6 +121,7 @@ def memory(meshes: list[Path], attempts: int) -> list[float]:
     return sizes or [resident()]
 
 
+@leave_with_message()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--meshes", type=Path, help="a folder of meshes; default: 16 generated")

@@ -25,8 +25,9 @@ import numpy as np
 import open3d as o3d
 
 from pointsdf_cli.camera.pinhole import CAMERAS
+from pointsdf_cli.errors import leave_with_message
 from pointsdf_cli.geometry.frames import random_rotation
-from pointsdf_cli.io.meshes import find_meshes, load_mesh
+from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 
 CORES = len(os.sched_getaffinity(0))
 OBJECTS, VIEWS, POINTS, REPEATS = 120, 800, 200_000, 1
@@ -65,16 +66,16 @@ def bare_views_per_second(meshes: list[Path]) -> float:
     return count / seconds
 
 
-def bare_distances_per_second(meshes: list[Path], labels: Path) -> float:
+def bare_distances_per_second(files: list[Path], meshes: Path, labels: Path) -> float:
     """`compute_signed_distance` alone, at the very points that label-sdf labelled."""
     from pointsdf_cli.io.labels import read_labels
 
     count, seconds = 0, 0.0
-    for path in meshes:
+    for path in files:
         mesh = load_mesh(path)
         scene = o3d.t.geometry.RaycastingScene()
         scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
-        points = o3d.core.Tensor(read_labels(labels / f"{path.stem}.h5").points)
+        points = o3d.core.Tensor(read_labels(artifact_path(path, meshes, labels)).points)
         scene.compute_signed_distance(points[:10])  # builds the tree
         started = time.perf_counter()
         scene.compute_signed_distance(points)
@@ -83,6 +84,7 @@ def bare_distances_per_second(meshes: list[Path], labels: Path) -> float:
     return count / seconds
 
 
+@leave_with_message()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--meshes", type=Path, help="a folder of meshes; default: 120 generated")
@@ -111,7 +113,7 @@ def main() -> None:
             label += ["--points", options.points]
             label_ours.append(points / run(*label, "--out", place[2], "--jobs", CORES))
             label_one.append(points / run(*label, "--out", place[3], "--jobs", 1))
-            label_bare.append(bare_distances_per_second(files, place[2]))
+            label_bare.append(bare_distances_per_second(files, meshes, place[2]))
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
     result = {
         "cores": CORES,

@@ -24,6 +24,7 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.visibility import PLANE_BAND
 from pointsdf_cli.models.registry import load_model
@@ -35,6 +36,7 @@ LARGEST = 0.02
 SAMPLINGS = 2
 
 
+@leave_with_message()
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -52,6 +54,8 @@ def main() -> None:
             evidence = evidence_of(case, points)
             scores = [completed(model, case, points, evidence, k)[0] for k in range(SAMPLINGS)]
             table.setdefault(name, []).append(float(np.mean([score.iou for score in scores])))
+    if not table:
+        raise InputError("holds no capture with label.png", where=options.captures)
     for name, ious in table.items():
         each = " ".join(f"{iou:.3f}" for iou in ious)
         print(f"{name:36s}{each}  mean {np.mean(ious):.3f}")

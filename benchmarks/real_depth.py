@@ -30,12 +30,13 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.errors import leave_with_message
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, random_rotation, transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import Score, Shape, compare, failure
 from pointsdf_cli.geometry.visibility import PLANE_BAND, ViewEvidence, visibility_image
-from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
@@ -89,7 +90,7 @@ def exact_cases(meshes: Path, erosion: int, grown: bool = False, most: int = 13)
     """One exact view of each of `most` meshes, seen from above before a wall 0.5 m behind."""
     camera = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
     rng = np.random.default_rng(0)
-    files = sorted(meshes.glob("*.ply"))
+    files = find_meshes(meshes, "*.ply")
     for file in files[:: max(1, len(files) // most)][:most]:
         mesh = load_mesh(file)
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
@@ -141,6 +142,7 @@ def completed(
     return compare(prediction, truth, rng, SAMPLES), (made.vertices, made.faces)
 
 
+@leave_with_message()
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -23,7 +23,7 @@ import numpy as np
 from registered import registered_objects
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
-from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.errors import RgraspError, leave_with_message
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, rotation_vector, transform
 from pointsdf_cli.io.clouds import Cloud
@@ -117,6 +117,7 @@ def verdict(case: Case, planner: GraspPlanner, world: World, seed: int) -> tuple
     return outcome.lost_in or "unshaken", flags
 
 
+@leave_with_message()
 def main() -> None:
     """Print the verdicts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

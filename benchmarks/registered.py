@@ -11,9 +11,10 @@ import numpy as np
 from PIL import Image
 
 from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform
-from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
 
 
 class Registered(NamedTuple):
@@ -42,8 +43,15 @@ class Registered(NamedTuple):
 
 
 def registered_objects(captures: Path, meshes: Path) -> Iterator[Registered]:
-    """Every object of the captures that truth.json gives a pose of."""
-    for truth_file in sorted(captures.glob("*/truth.json")):
+    """Every object of the captures that truth.json gives a pose of.
+
+    Raises:
+        InputError: There is none, or a mesh of one is missing.
+    """
+    truth_files = sorted(captures.glob("*/truth.json"))
+    if not truth_files:
+        raise InputError("holds no capture with truth.json", where=captures)
+    for truth_file in truth_files:
         folder, truth = truth_file.parent, json.loads(truth_file.read_text())
         if "mesh" in truth:
             T_world_camera = np.array(json.loads((folder / "T_world_camera.json").read_text()))
@@ -53,5 +61,5 @@ def registered_objects(captures: Path, meshes: Path) -> Iterator[Registered]:
             poses = {name: np.array(pose) for name, pose in truth["T_camera_mesh"].items()}
             numbers = {name: int(number) for number, name in truth["labels"].items()}
         for name, pose in poses.items():
-            mesh = load_mesh(next(meshes.rglob(f"{name}*.ply")))
+            mesh = load_mesh(find_meshes(meshes, f"{name}*.ply")[0])
             yield Registered(folder, f"{folder.name} {name}", mesh, pose, numbers.get(name))

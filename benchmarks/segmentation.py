@@ -18,6 +18,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
+from pointsdf_cli.errors import leave_with_message
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.planning.labelled_view import WORKSPACE, LabelledView, label_view
@@ -55,6 +56,7 @@ def is_found(view: LabelledView, surface: Array) -> bool:
     return pure > 0.9 and covered > 0.7
 
 
+@leave_with_message()
 def main() -> None:
     """Print one line for each sensor and camera."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -31,6 +31,7 @@ from sensor_scenes import (
 )
 
 from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
+from pointsdf_cli.errors import leave_with_message
 from pointsdf_cli.io.meshes import find_meshes, load_mesh
 
 YCB_VIDEO = (
@@ -101,6 +102,7 @@ def print_throughput(meshes: Path, views: int) -> dict[str, float]:
     return rates
 
 
+@leave_with_message()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("meshes", type=Path, help="a folder of YCB meshes")

@@ -27,12 +27,12 @@ from scipy.spatial import cKDTree
 from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.scene_views import SceneView, SceneViewConfig, SceneViews
 from pointsdf_cli.camera.table_scene import SceneConfig
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import Shape, compare, iou
-from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
@@ -143,6 +143,7 @@ def describe(rows: Sequence[Row], title: str) -> None:
     print(f"  two samplings below IoU 0.9: {unstable:.0%}; one closed body: {closed:.0%}")
 
 
+@leave_with_message()
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -164,7 +165,7 @@ def main() -> None:
         exact_resting=1.0,
     )
     rows = []
-    for number, file in enumerate(sorted(options.meshes.rglob("*.ply"))):
+    for number, file in enumerate(find_meshes(options.meshes, "*.ply")):
         mesh = load_mesh(file)
         views = SceneViews(mesh, CAMERAS["realsense"], config)
         rng = np.random.default_rng([options.seed, number])

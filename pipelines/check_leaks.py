@@ -5,7 +5,7 @@
 For every test mesh the most similar training meshes are found by a pose- and scale-free description
 of their surfaces, then aligned by ICP. Prints the nearest of each, and exits with 1 if any pair is
 closer than the threshold (mean distance of the aligned surfaces, where 1 is that of two samples of
-one and the same surface).
+one and the same surface), and with 2 where the folders cannot be read.
 """
 
 from __future__ import annotations
@@ -19,27 +19,30 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from pointsdf_cli.errors import leave_with_message
 from pointsdf_cli.geometry.signed_distance import sample_surface
-from pointsdf_cli.io.meshes import find_meshes, load_mesh
+from pointsdf_cli.io.meshes import UNITS, find_meshes, load_mesh
 
 Points = NDArray[np.float64]
 
 POINTS, COARSE_POINTS, PAIRS, BINS, ITERATIONS = 4000, 600, 20_000, 48, 40
 
 
+@leave_with_message()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--test", type=Path, action="append", required=True)
     parser.add_argument("--train", type=Path, action="append", required=True)
     parser.add_argument("--candidates", type=int, default=5, help="aligned, for each test mesh")
     parser.add_argument("--threshold", type=float, default=1.15)
+    parser.add_argument("--unit", choices=list(UNITS), default="m", help="of all meshes")
     options = parser.parse_args()
 
     def read(folders: list[Path]) -> tuple[list[Path], list[np.ndarray], np.ndarray]:
         files = [file for folder in folders for file in find_meshes(folder)]
         clouds = []
         for file in files:
-            mesh = load_mesh(file)
+            mesh = load_mesh(file, options.unit)
             clouds.append(surface_points(mesh.vertices, mesh.faces, np.random.default_rng(0)))
         described = [descriptor(cloud, np.random.default_rng(1)) for cloud in clouds]
         return files, clouds, np.array(described)

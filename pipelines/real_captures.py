@@ -66,7 +66,7 @@ class Capture:
 def captures_in(folder: Path, only: str) -> list[Capture]:
     """All captures of a folder whose names begin with `only`."""
     found = []
-    for place in sorted(folder.iterdir()):
+    for place in sorted(folder.glob("*")):
         if not place.name.startswith(only):
             continue
         if place.suffix.lower() in (".pcd", ".ply"):
