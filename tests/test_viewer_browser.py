@@ -16,7 +16,7 @@ from plan_files import turning_plan_file
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.artifact_scene import scene_of
 from pointsdf_cli.viz.html_scene import scene_page
-from pointsdf_cli.viz.scene import Scene
+from pointsdf_cli.viz.scene import Part, Scene
 from pointsdf_cli.viz.scene_sources import SceneOptions
 
 ROBOT = load_robot()
@@ -63,6 +63,24 @@ def test_the_exported_page_draws_and_its_slider_moves_the_robot(
     page.click("#play")
     page.wait_for_function("document.getElementById('caption').textContent === '2.00 s'")
     assert asked == [file.as_uri()]  # nothing else was fetched
+
+
+def test_a_translucent_part_keeps_its_colour(page: Any, tmp_path: Path) -> None:
+    # A sheet of half opacity that fills the view: green, mixed half with the page's light grey.
+    corners = np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]], dtype=float)
+    sheet = Part(
+        *("sheet", "mesh", "mesh", corners, np.array([[0, 1, 2], [0, 2, 3]])),
+        colour=(0.0, 1.0, 0.0),
+        opacity=0.5,
+    )
+    file = tmp_path / "sheet.html"
+    file.write_text(scene_page(Scene("sheet", (sheet,))), encoding="utf-8")
+    page.goto(file.as_uri())
+    page.wait_for_timeout(300)
+    red, green, blue = pixels(page, (390, 290, 410, 310)).reshape(-1, 3).mean(axis=0)
+    assert green > 150
+    assert abs(red - 122) < 6
+    assert abs(blue - 123) < 6
 
 
 def test_the_served_page_draws_and_its_slider_moves_the_robot(page: Any, scene: Scene) -> None:
