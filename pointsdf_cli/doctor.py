@@ -10,6 +10,11 @@ from collections.abc import Callable
 import numpy as np
 
 PACKAGES = ("numpy", "torch", "open3d", "trimesh", "manifold3d", "h5py", "libigl", "pybullet")
+NETWORKS = (
+    *("pointsdf_real", "pointsdf_ray", "pointsdf", "voxelcnn"),
+    *("grasp_geometry", "grasp_scratch", "barrett_geometry", "panda_geometry"),
+)
+"""The bundled checkpoints."""
 
 
 def examine() -> dict[str, tuple[bool, str]]:
@@ -65,9 +70,13 @@ def _processor() -> tuple[bool, str]:
 
 
 def _assets() -> tuple[bool, str]:
-    from pointsdf_cli.assets import assets_folder, bundled_robots
+    from pointsdf_cli.assets import asset_path, assets_folder, bundled_robots
+    from pointsdf_cli.io.checkpoints import read_checkpoint
 
-    return True, f"{assets_folder()} (robots: {', '.join(bundled_robots()) or 'none'})"
+    for name in NETWORKS:
+        read_checkpoint(asset_path(f"weights/{name}"))
+    robots = ", ".join(bundled_robots()) or "none"
+    return True, f"{assets_folder()} (robots: {robots}; {len(NETWORKS)} networks)"
 
 
 def _sphere_distance() -> tuple[bool, str]:

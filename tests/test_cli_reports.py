@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,28 @@ def test_doctor_says_what_is_broken_and_fails(monkeypatch: pytest.MonkeyPatch) -
     assert result.code == 1
     assert "FAIL  signed distance of a sphere" in result.out
     assert "1 checks failed" in result.err
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut short"])
+def test_doctor_opens_every_bundled_network(
+    damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pointsdf_cli import assets, doctor
+
+    whole = assets.assets_folder()
+    assert {path.name for path in (whole / "weights").iterdir()} == set(doctor.NETWORKS)
+    shutil.copytree(whole / "weights", tmp_path / "assets" / "weights")
+    shutil.copytree(whole / "robots", tmp_path / "assets" / "robots")
+    weights = tmp_path / "assets" / "weights" / "voxelcnn" / "model.safetensors"
+    if damage == "missing":
+        shutil.rmtree(weights.parent)
+    else:
+        weights.write_bytes(weights.read_bytes()[:-1000])
+    monkeypatch.setattr(assets, "_PACKAGE", tmp_path)
+    result = run_cli("doctor")
+    assert result.code == 1
+    assert "FAIL  assets: " in result.out
+    assert "voxelcnn" in result.out
 
 
 def test_report_is_one_page_with_its_pictures_inside(data: Path, tmp_path: Path) -> None:
