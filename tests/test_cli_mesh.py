@@ -24,6 +24,8 @@ from pointsdf_cli.geometry.frames import (
 )
 from pointsdf_cli.io.checkpoints import write_checkpoint
 from pointsdf_cli.io.clouds import Cloud, write_cloud
+from pointsdf_cli.io.ply import ply_comments
+from pointsdf_cli.io.raw_cloud import pose_of_header
 from pointsdf_cli.models.registry import build_model
 
 RESOLUTION = 32
@@ -125,6 +127,19 @@ def test_the_pose_may_be_typed(full: Path, tmp_path: Path) -> None:
     assert code == 0, err
     in_camera = apply_transform(invert_transform(POSE), trimesh.load(out).vertices)
     assert in_camera.min(0) == pytest.approx(box_about(POINTS)[0], abs=2e-6)
+
+
+@pytest.mark.parametrize("each", [(), ("--each",)])
+def test_a_meshes_header_says_where_it_lies(
+    each: tuple[str, ...], full: Path, tmp_path: Path
+) -> None:
+    cloud = saved(tmp_path, POINTS, T_world_camera=POSE)
+    made = tmp_path / "made" / cloud.name
+    code, _, err = mesh(cloud, full, *each, "--out", made.parent if each else made)
+    assert code == 0, err
+    comments = ply_comments(made)
+    assert comments["frame"] == "camera"
+    assert pose_of_header(comments, made) == pytest.approx(POSE, abs=1e-12)
 
 
 def test_millimetres_in_millimetres_out(full: Path, tmp_path: Path) -> None:

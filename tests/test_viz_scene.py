@@ -18,8 +18,9 @@ from trial_rows import ROW
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
-from pointsdf_cli.io.clouds import Cloud, write_cloud
+from pointsdf_cli.io.clouds import Cloud, frame_comments, write_cloud
 from pointsdf_cli.io.grasps import Grasps, GraspsMeta, write_grasps
+from pointsdf_cli.io.meshes import save_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.trials import Evidence, write_trial
 from pointsdf_cli.io.views import Views, write_views
@@ -65,6 +66,45 @@ def test_a_mesh_beside_a_cloud_lies_in_the_clouds_frame(tmp_path: Path) -> None:
     mesh, cloud = part(scene, "mesh").vertices, part(scene, "cloud").vertices
     assert np.allclose(mesh.min(axis=0), cloud.min(axis=0), atol=1e-6)
     assert np.allclose(mesh.max(axis=0), cloud.max(axis=0), atol=1e-6)
+
+
+def box_ahead(path: Path, **place: Any) -> np.ndarray:
+    """A box 0.9 m ahead of a camera as a mesh, with its place in the header; its corners."""
+    box = trimesh.creation.box((0.1, 0.1, 0.1)).apply_translation((0, 0, 0.9))
+    save_mesh(path, box.vertices, box.faces, frame_comments(**place) if place else None)
+    return np.asarray(box.vertices)
+
+
+def warnings_of(scene: Scene) -> list[str]:
+    return [value for name, value in scene.facts if name == "warning"]
+
+
+def test_a_mesh_beside_a_plan_lies_where_its_header_says(tmp_path: Path) -> None:
+    plan, mesh = turning_plan_file(tmp_path, ROBOT), tmp_path / "mesh.ply"
+    corners = box_ahead(mesh, frame="camera", T_world_camera=LOOKING_DOWN)
+    scene = scenes_of([plan, mesh], OPTIONS)
+    wanted = corners @ LOOKING_DOWN[:3, :3].T + LOOKING_DOWN[:3, 3]
+    assert part(scene, "mesh").vertices == pytest.approx(wanted, abs=1e-6)
+    assert not warnings_of(scene)
+    for place in ({}, {"frame": "camera", "T_world_camera": None}):
+        box_ahead(mesh, **place)
+        assert "mesh.ply does not say" in warnings_of(scenes_of([plan, mesh], OPTIONS))[0]
+    box_ahead(mesh, frame="world", T_world_camera=None)
+    assert not warnings_of(scenes_of([plan, mesh], OPTIONS))
+
+
+def test_a_mesh_beside_several_clouds_lies_where_its_header_says(tmp_path: Path) -> None:
+    mesh, poses = tmp_path / "mesh.ply", {"a.ply": np.eye(4), "b.ply": LOOKING_DOWN}
+    corners = box_ahead(mesh, frame="camera", T_world_camera=LOOKING_DOWN)
+    for name, pose in poses.items():
+        write_cloud(tmp_path / name, Cloud(corners, T_world_camera=pose))
+    paths = [*(tmp_path / name for name in poses), mesh]
+    scene = scenes_of(paths, OPTIONS)
+    wanted = corners @ LOOKING_DOWN[:3, :3].T + LOOKING_DOWN[:3, 3]
+    assert part(scene, "mesh").vertices == pytest.approx(wanted, abs=1e-6)
+    assert not warnings_of(scene)
+    box_ahead(mesh)
+    assert "a guess" in warnings_of(scenes_of(paths, OPTIONS))[0]
 
 
 def test_views_are_seen_from_their_cameras(tmp_path: Path) -> None:

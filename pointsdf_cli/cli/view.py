@@ -80,6 +80,7 @@ def view(
     from pointsdf_cli.viz.html_scene import scene_page
 
     scene = scenes_of(artifacts, options)
+    reporter.say(*(f"warning: {value}" for name, value in scene.facts if name == "warning"))
     facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}
     if export:
         write_text_atomic(export, scene_page(scene))

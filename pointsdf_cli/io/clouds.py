@@ -234,13 +234,19 @@ def write_cloud(path: Path | str, cloud: Cloud) -> None:
         raise InputError("is not the name of a PLY file", where=path, allowed="NAME.ply")
     if cloud.colours is not None and np.asarray(cloud.colours).dtype != np.uint8:
         raise InputError("the cloud's colours are no bytes", where=path, allowed="uint8, 0 to 255")
-    comments = {"frame": cloud.frame}
-    if cloud.T_world_camera is not None:
-        comments["T_world_camera"] = " ".join(repr(float(v)) for v in cloud.T_world_camera.ravel())
-        if cloud.over_table:
-            comments[POSE_FROM] = TABLE
+    comments = frame_comments(cloud.frame, cloud.T_world_camera)
+    if cloud.T_world_camera is not None and cloud.over_table:
+        comments[POSE_FROM] = TABLE
     with atomic_path(path) as temporary:
         write_ply(temporary, cloud.points, cloud.normals, cloud.colours, comments)
+
+
+def frame_comments(frame: str, T_world_camera: NDArray[np.float64] | None) -> dict[str, str]:
+    """Header comments on where a cloud or its mesh lies: frame, and camera [4, 4] if known."""
+    if T_world_camera is None:
+        return {"frame": frame}
+    pose = " ".join(repr(float(v)) for v in T_world_camera.ravel())
+    return {"frame": frame, "T_world_camera": pose}
 
 
 def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:

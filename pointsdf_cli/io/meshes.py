@@ -24,6 +24,7 @@ from pointsdf_cli.io.input_files import (
     read_input,
     require_suffix,
 )
+from pointsdf_cli.io.ply import write_ply
 from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
@@ -222,13 +223,19 @@ def read_triangles(path: Path | str) -> tuple[NDArray[np.float64], NDArray[np.in
     return vertices, faces
 
 
-def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
-    """Write a mesh [m], as a whole or not at all, in the format of the path's suffix."""
+def save_mesh(
+    path: Path | str, vertices: ArrayLike, faces: ArrayLike, comments: dict[str, str] | None = None
+) -> None:
+    """Write a mesh [m], as a whole or not at all, in the format of the path's suffix; only PLY has
+    `comments` in its header, such as `frame_comments`."""
     import trimesh
 
-    mesh = trimesh.Trimesh(np.asarray(vertices), np.asarray(faces), process=False)
+    corners, triangles = np.asarray(vertices), np.asarray(faces)
     with atomic_path(path) as temporary:
-        mesh.export(temporary)
+        if comments and Path(path).suffix.lower() == ".ply":
+            write_ply(temporary, corners, comments=comments, faces=triangles)
+        else:
+            trimesh.Trimesh(corners, triangles, process=False).export(temporary)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -101,6 +101,11 @@ def ply_has_faces(path: Path) -> bool:
     return any(e.name == "face" and e.length > 0 for e in _read_header(path).elements)
 
 
+def ply_comments(path: Path) -> dict[str, str]:
+    """The header's `comment KEY VALUE…` lines; raises as `ply_has_faces`."""
+    return _read_header(path).comments
+
+
 def write_ply(
     path: Path,
     points: NDArray[np.floating],

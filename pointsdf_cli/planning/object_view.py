@@ -38,6 +38,7 @@ class ObjectView:
         said: Sentences about the points kept.
         alone: Whether the file held nothing else.
         evidence: Observed space around the object; None for an object alone.
+        T_world_camera: [4, 4], the camera in the world; None where it is not known.
     """
 
     points: Array
@@ -46,6 +47,7 @@ class ObjectView:
     said: tuple[str, ...] = ()
     alone: bool = False
     evidence: ViewEvidence | None = None
+    T_world_camera: Array | None = None
 
 
 def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:
@@ -116,7 +118,8 @@ class MeshSettings:
             return seen
         from pointsdf_cli.planning.scene_input import FROM_TABLE
 
-        return replace(seen, said=tuple(one for one in seen.said if FROM_TABLE not in one))
+        said = tuple(one for one in seen.said if FROM_TABLE not in one)
+        return replace(seen, said=said, T_world_camera=None)
 
 
 def bare_view(
@@ -155,7 +158,8 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
         check_object_cloud(Cloud(points), f"{name}, under its mask")
         around = around or _around_mask(view, points)
     notes = tuple(f"{name}: {each}" for each in (*view.notes, said, note) if each)
-    return ObjectView(points, T_frame_camera, view.frame, notes, True, around)
+    there = T_frame_camera, view.frame
+    return ObjectView(points, *there, notes, True, around, view.T_world_camera)
 
 
 def _on_its_table(
@@ -271,4 +275,5 @@ def segmented_cloud(
         found = look_at_table([cloud], [name], there, q, "auto", target, workspace, cleaned)
     view = found.views[0]
     _, pose = cloud.in_camera_frame()
-    return ObjectView(view.points, pose, cloud.frame, found.report, False, view.evidence)
+    said = found.report, False, view.evidence, cloud.T_world_camera
+    return ObjectView(view.points, pose, cloud.frame, *said)

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
+from pointsdf_cli.io.clouds import read_cloud
+from pointsdf_cli.io.ply import ply_comments
+from pointsdf_cli.io.raw_cloud import pose_of_header
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene, trial_scene
 from pointsdf_cli.viz.robot_check_picture import robot_scene
 from pointsdf_cli.viz.scene import Scene, joined
 from pointsdf_cli.viz.scene_sources import SceneOptions, kind_of
 from pointsdf_cli.viz.shape_scenes import (
+    T_UPRIGHT_CAMERA,
     cloud_place,
     cloud_scene,
     labels_scene,
@@ -37,18 +40,21 @@ def scene_of(path: Path, options: SceneOptions) -> Scene:
 def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
     """Make one scene of several artifacts in one world.
 
-    A mesh beside a cloud is assumed to be in the cloud's frame, as `rgrasp mesh` writes it.
+    A mesh lies where its PLY header says, as `rgrasp mesh` writes it; one that says nothing is
+    assumed to be in the frame of the first cloud. A guess that may be wrong is a fact "warning".
 
     Raises:
         InputError: An artifact cannot be shown, or two of them move.
     """
-    scenes, T_world_mesh = [scene_of(path, options) for path in paths], np.eye(4)
-    for path, scene in zip(paths, scenes, strict=True):
-        still_cloud = any(part.layer == "cloud" and part.frame is None for part in scene.parts)
-        if still_cloud and path.suffix.lower() in CLOUD_SUFFIXES:
-            T_world_mesh = cloud_place(read_cloud(path, options.unit, drop_invalid=True))
-            break
-    return joined([_set_down(scene, T_world_mesh) for scene in scenes])
+    scenes, kinds = [scene_of(path, options) for path in paths], [kind_of(path) for path in paths]
+    clouds = [path for path, kind in zip(paths, kinds, strict=True) if kind == "cloud"]
+    places = [cloud_place(read_cloud(path, options.unit, drop_invalid=True)) for path in clouds]
+    # Views and labels are in the frame of their mesh.
+    if set(kinds) != {"mesh"} and not {"views", "labels"} & set(kinds):
+        for k, kind in enumerate(kinds):
+            if kind == "mesh":
+                scenes[k] = _set_down(scenes[k], paths[k], places)
+    return joined(scenes)
 
 
 def _robot(path: Path, options: SceneOptions) -> Scene:
@@ -67,11 +73,19 @@ _SCENES = {
 }
 
 
-def _set_down(scene: Scene, T_world_mesh: NDArray[np.float64]) -> Scene:
-    """A scene of meshes alone, moved as a whole; any other as it is."""
-    if any(part.layer not in ("mesh", "axes") for part in scene.parts):
-        return scene
+def _set_down(scene: Scene, path: Path, places: list[NDArray[np.float64]]) -> Scene:
+    """The scene of a mesh, moved into the world shown; `places` are the poses [4, 4] of the frames
+    of the clouds beside it."""
+    comments, warning = ply_comments(path) if path.suffix.lower() == ".ply" else {}, ""
+    place = np.eye(4) if comments.get("frame") == "world" else pose_of_header(comments, path)
+    if place is None or any(other is T_UPRIGHT_CAMERA for other in places):
+        place = places[0] if places else np.eye(4)
+        if not places:
+            warning = "does not say where it lies (rgrasp mesh --camera-pose writes it into a PLY)"
+        elif not all(np.allclose(other, place) for other in places):
+            warning = "is shown in the first cloud's frame, which is a guess"
+    facts = (*scene.facts, ("warning", f"{path.name} {warning}")) if warning else scene.facts
     parts = tuple(
-        replace(part, vertices=apply_transform(T_world_mesh, part.vertices)) for part in scene.parts
+        replace(part, vertices=apply_transform(place, part.vertices)) for part in scene.parts
     )
-    return replace(scene, parts=parts)
+    return replace(scene, parts=parts, facts=facts)
