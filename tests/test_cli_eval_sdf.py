@@ -21,7 +21,13 @@ from pointsdf_cli.training.evaluate_sdf import (
     best_median_worst,
     convex_hull,
 )
-from pointsdf_cli.training.sdf_table import ScoredView, objects_csv, statistic, summarise
+from pointsdf_cli.training.sdf_table import (
+    ScoredView,
+    objects_csv,
+    statistic,
+    summarise,
+    table_lines,
+)
 
 VIEWS, SAMPLES = 2, 2000
 # The hull of the fixture's torus (0.04, 0.012): a tube's half circles around a flat disc.
@@ -190,6 +196,12 @@ def test_interval_draws_objects_not_views() -> None:
     result = statistic(values, np.arange(400), seed=0)
     assert result.high - result.low == pytest.approx(2 * 1.96 * 0.1 / 20, rel=0.1)
     assert result.deviation == pytest.approx(values.std(ddof=1))
+
+
+def test_one_object_has_no_interval() -> None:
+    table = summarise([scored("mug", 0, 0.8), scored("mug", 1, 0.6)])
+    assert np.isnan([table["net"]["iou"]["low"], table["net"]["iou"]["high"]]).all()
+    assert table_lines(table)[1].split()[:5] == ["net", "0.700", "(0.141)", "0.700", "–"]
 
 
 def test_summary_and_csv_keep_failures_in_the_average() -> None:

@@ -29,6 +29,7 @@ from pointsdf_cli.training.gs_data import (
     read_grasp_data,
     split_grasps,
 )
+from pointsdf_cli.training.gs_evaluation import table_lines
 from pointsdf_cli.training.gs_evidence import evidence_of
 from pointsdf_cli.training.gs_inputs import CloudInputs, FixedInputs, turn_numbers
 from pointsdf_cli.training.gs_loop import (
@@ -107,6 +108,17 @@ def test_intervals_are_wider_for_fewer_objects() -> None:
     assert whole.low < whole.value < whole.high
     # Grasps of one object go together: pretending that they do not makes the interval too narrow.
     assert whole.high - whole.low > 2 * (alone.high - alone.low)
+
+
+def test_one_object_has_no_interval() -> None:
+    label = np.array([1.0, 0.0, 1.0, 1.0])
+    mean = {"mean": lambda i: float(label[i].mean())}
+    found = gs_metrics.over_objects(mean, np.zeros(4, int))["mean"]
+    assert found.value == 0.75
+    assert np.isnan([found.low, found.high]).all()
+    told: dict[str, Any] = {"f1": found._asdict(), "average_precision": found._asdict()}
+    told["top_choice"] = {"top": told["f1"], "random": told["f1"]}
+    assert table_lines({"net": told})[1].split()[:3] == ["net", "0.750", "–"]
 
 
 def test_calibration_finds_the_temperature_and_shift_that_labels_were_drawn_with() -> None:

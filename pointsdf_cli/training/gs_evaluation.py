@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.training import gs_metrics
 from pointsdf_cli.training.gs_data import GraspData
-from pointsdf_cli.training.sdf_table import aligned
+from pointsdf_cli.training.sdf_table import aligned, interval
 
 PUBLISHED = {
     "PointSDF-Scratch": 0.640,
@@ -112,8 +112,9 @@ def table_lines(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     for name, entry in table.items():
         f1, ap, ranking = entry["f1"], entry["average_precision"], entry["top_choice"]
         paper = f"{PUBLISHED[name]:.3f}" if name in PUBLISHED else ""
-        cells = [name, _number(f1), _range(f1), paper]
-        cells += [_number(entry.get("f1_chosen")), _number(ap), _range(ap)]
+        ranges = [interval(found["low"], found["high"], 3) for found in (f1, ap)]
+        cells = [name, _number(f1), ranges[0], paper]
+        cells += [_number(entry.get("f1_chosen")), _number(ap), ranges[1]]
         cells += [_number(entry.get(key)) for key in ("roc_auc", "brier", "calibration_error")]
         rows.append((*cells, _number(ranking["top"]), _number(ranking["random"])))
     return aligned(rows)
@@ -125,7 +126,3 @@ def _share(label: NDArray[np.floating]) -> float:
 
 def _number(entry: Mapping[str, float] | None) -> str:
     return "" if entry is None else f"{entry['value']:.3f}"
-
-
-def _range(entry: Mapping[str, float]) -> str:
-    return f"{entry['low']:.3f}–{entry['high']:.3f}"

@@ -25,7 +25,7 @@ BOOTSTRAPS = 500
 
 
 class Interval(NamedTuple):
-    """A number and its 95% interval over objects; NaN if undefined."""
+    """A number and its 95% interval over objects; NaN if undefined, as that of one object is."""
 
     value: float
     low: float
@@ -130,7 +130,7 @@ def over_objects(
     found = {}
     for name, measure in measures.items():
         values = np.array([measure(index) for index in drawn])
-        values = values[np.isfinite(values)]
+        values = values[np.isfinite(values)] if len(rows) > 1 else values[:0]
         low, high = np.percentile(values, [2.5, 97.5]) if len(values) else (np.nan, np.nan)
         found[name] = Interval(measure(everything), float(low), float(high))
     return found

@@ -53,7 +53,7 @@ class Statistic(NamedTuple):
 
     Attributes:
         mean, deviation, median: Statistics over views.
-        low, high: 95% bootstrap interval of the mean, over objects.
+        low, high: 95% bootstrap interval of the mean, over objects; NaN for one object.
     """
 
     mean: float
@@ -88,7 +88,7 @@ def statistic(values: NDArray[np.float64], groups: NDArray[np.integer], seed: in
     sums, sizes = np.bincount(groups, values, count), np.bincount(groups, minlength=count)
     drawn = np.random.default_rng(seed).integers(count, size=(BOOTSTRAPS, count))
     means = sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = np.percentile(means, [2.5, 97.5]) if count > 1 else (np.nan, np.nan)
     deviation = values.std(ddof=1) if len(values) > 1 else 0.0
     return Statistic(*map(float, (values.mean(), deviation, np.median(values), low, high)))
 
@@ -104,13 +104,17 @@ def table_lines(table: dict[str, Any], beside: str | None = None) -> list[str]:
             cells.append(_with_deviation((found["mean"], found["deviation"]), scale, digits))
             if metric == "iou":
                 cells.append(f"{found['median']:.{digits}f}")
-            low, high = scale * found["low"], scale * found["high"]
-            cells.append(f"{low:.{digits}f}–{high:.{digits}f}")
+            cells.append(interval(scale * found["low"], scale * found["high"], digits))
         rows.append((*cells, f"{entry['failures']} of {entry['views']}"))
     for method, published in PUBLISHED.get(beside or "", {}).items():
         iou, chamfer, normals = (_with_deviation(published[m], *METRICS[m]) for m in METRICS)
         rows.append((method, iou, "", "", chamfer, "", normals, "", ""))
     return aligned(rows)
+
+
+def interval(low: float, high: float, digits: int) -> str:
+    """An interval as "0.71–0.85"; a dash if it is NaN."""
+    return "–" if np.isnan(low) else f"{low:.{digits}f}–{high:.{digits}f}"
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
