@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from conftest import run_cli
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.io.views import read_views, write_views
 
 
 def bundled(name: str) -> Path:
@@ -148,6 +150,30 @@ def test_one_file_of_views_or_labels_has_a_page_with_its_mesh(data: Path, tmp_pa
         assert f"<h2>{word}</h2>" in text
         assert text.count("data:image/png;base64,") == 1
         assert "ring" not in text
+
+
+def moved_views(data: Path, place: Path, shift: float) -> Path:
+    """The ball's views with the object moved in each camera [m], in a file with its mesh near."""
+    views = read_views(data / "views" / "ball.h5")
+    poses = views.T_camera_object.copy()
+    poses[:, 0, 3] += shift
+    (place / "views").mkdir()
+    shutil.copytree(data / "meshes", place / "meshes")
+    path = place / "views" / "ball.h5"
+    write_views(path, dataclasses.replace(views, T_camera_object=poses), seed=0)
+    return path
+
+
+def test_a_page_on_views_that_do_not_see_their_object(data: Path, tmp_path: Path) -> None:
+    path, page = moved_views(data, tmp_path, 50.0), tmp_path / "page.html"
+    assert run_cli("report", path, "--out", page).code == 0
+    assert "<h2>Views</h2>" in page.read_text()
+
+
+def test_views_with_a_pose_that_is_none_are_refused(data: Path, tmp_path: Path) -> None:
+    result = run_cli("report", moved_views(data, tmp_path, np.inf))
+    assert result.code == 2
+    assert "not a rigid transform" in result.err
 
 
 def test_a_checkpoint_has_a_page_with_its_settings_and_its_loss(data: Path, tmp_path: Path) -> None:

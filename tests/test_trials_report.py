@@ -55,6 +55,12 @@ def test_rows_come_back_as_they_were(rows: list[TrialRow], tmp_path: Path) -> No
         write_trials(tmp_path / "none.h5", [], seed=0, config={})
 
 
+def test_an_unknown_method_is_refused(rows: list[TrialRow], tmp_path: Path) -> None:
+    write_trials(tmp_path / "trials.h5", [replace(rows[0], method="luck")], seed=3, config={})
+    with pytest.raises(InputError, match="method is 'luck'"):
+        read_trials(tmp_path / "trials.h5")
+
+
 def test_a_trial_comes_back_with_its_evidence(tmp_path: Path) -> None:
     evidence = Evidence(
         cloud=np.ones((5, 3), np.float32),

@@ -6,11 +6,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.choices import Method
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.hdf5 import attributes_as_input_error, read_artifact, write_artifact
@@ -198,7 +199,7 @@ def _row(values: Mapping[str, Any]) -> TrialRow:
     """Row of a trial, from values whose types are checked.
 
     Raises:
-        ValueError: A value is of another type.
+        ValueError: A value is of another type, or an unknown method.
     """
     allowed: dict[str, tuple[type, ...]] = {
         "str": (str,), "int": (int,), "float": (int, float), "bool": (bool,),
@@ -206,6 +207,8 @@ def _row(values: Mapping[str, Any]) -> TrialRow:
     for one in fields(TrialRow):
         if type(values[one.name]) not in allowed[str(one.type)]:
             raise ValueError(f"{one.name} is {values[one.name]!r}")
+    if values["method"] not in get_args(Method):
+        raise ValueError(f"method is {values['method']!r}")
     return TrialRow(**values)
 
 
@@ -234,4 +237,4 @@ def read_trials(path: Path | str) -> list[TrialRow]:
         values = artifact.values.items()
         columns = {name: v if isinstance(v, tuple) else v.tolist() for name, v in values}
         rows = zip(*columns.values(), strict=True)
-        return [TrialRow(**dict(zip(columns, values, strict=True))) for values in rows]
+        return [_row(dict(zip(columns, values, strict=True))) for values in rows]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.hdf5 import Artifact, attributes_as_input_error, read_artifact, write_artifact
 from pointsdf_cli.io.layout import Column, Layout
@@ -81,6 +82,8 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
     count = len(datasets["cloud"])
     known = read_view_evidence(path, datasets) if with_evidence else (ViewEvidence(),) * count
     with attributes_as_input_error(path):
+        if not all(map(is_rigid, datasets["T_camera_object"])):
+            raise ValueError("a pose that is not a rigid transform")
         width, height = (int(n) for n in attributes["image_size"])
         return Views(
             cloud=datasets["cloud"],

@@ -35,9 +35,10 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
         camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         patch = MeshCaster(mesh.vertices, mesh.faces, camera).cast(views.T_camera_object[0])
         image = depth_image(patch, camera)
-        top, bottom = max(patch.v.min() - 8, 0), patch.v.max() + 9
-        left, right = max(patch.u.min() - 8, 0), patch.u.max() + 9
-        row[0].imshow(np.ma.masked_equal(image[top:bottom, left:right], 0), cmap="viridis_r")
+        if len(patch.v):  # of poses by others it may be out of sight
+            top, bottom = max(patch.v.min() - 8, 0), patch.v.max() + 9
+            left, right = max(patch.u.min() - 8, 0), patch.u.max() + 9
+            row[0].imshow(np.ma.masked_equal(image[top:bottom, left:right], 0), cmap="viridis_r")
         row[0].set_title(f"{mesh.name[:24]}\ndepth of view 0", fontsize=7, parse_math=False)
         row[0].axis("off")
         for k, axis in enumerate(row[1:]):
