@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import run_cli
+from plan_files import turning_plan_file
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.io.views import read_views, write_views
+from pointsdf_cli.robot.description import load_robot
 
 
 def bundled(name: str) -> Path:
@@ -150,6 +152,42 @@ def test_one_file_of_views_or_labels_has_a_page_with_its_mesh(data: Path, tmp_pa
         assert f"<h2>{word}</h2>" in text
         assert text.count("data:image/png;base64,") == 1
         assert "ring" not in text
+
+
+@pytest.mark.parametrize("stage", ["views", "labels"])
+def test_a_folder_of_one_stage_finds_the_meshes_beside_it(
+    stage: str, data: Path, tmp_path: Path
+) -> None:
+    page, pictures = tmp_path / "page.html", tmp_path / "png"
+    result = run_cli("report", data / stage, "--out", page, "--pictures", pictures)
+    assert result.code == 0, result.err
+    assert page.read_text().count("data:image/png;base64,") == 1
+    assert len(list(pictures.iterdir())) == 1
+
+
+def test_pictures_without_meshes_are_refused(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data / "views", tmp_path / "far" / "views")
+    result = run_cli("report", tmp_path / "far" / "views", "--pictures", tmp_path / "png")
+    assert result.code == 2
+    assert "--meshes" in result.err
+    assert not (tmp_path / "far" / "views" / "report.html").exists()
+
+
+def test_a_page_tells_what_of_a_folder_it_leaves_out(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data / "views", tmp_path / "views")
+    turning_plan_file(tmp_path, load_robot())
+    result = run_cli("report", tmp_path)
+    assert result.code == 0, result.err
+    assert "left out: 1 plan" in result.err
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_a_folder_of_plans_is_refused_with_what_to_type(tmp_path: Path) -> None:
+    plan = turning_plan_file(tmp_path, load_robot())
+    result = run_cli("report", tmp_path)
+    assert result.code == 2
+    assert "holds plan, of which no common page can be made" in result.err
+    assert f"rgrasp report {plan}" in result.err
 
 
 def moved_views(data: Path, place: Path, shift: float) -> Path:

@@ -50,7 +50,9 @@ def test_far_distances_are_words_and_near_ones_millimetres() -> None:
 
 def test_grasps_by_file_and_by_folder(tmp_path: Path, cli: Callable) -> None:
     path = write_two_grasps(tmp_path)
+    (tmp_path / "report.html").write_text("of collect-grasps, with pictures")
     assert cli("report", path).code == 0
-    assert cli("report", tmp_path).code == 0
-    for page in (tmp_path / "g.html", tmp_path / "report.html"):
+    assert cli("report", tmp_path, "--force").code == 0
+    for page in (tmp_path / "g.html", tmp_path / "grasps.html"):
         assert "What became of the attempts" in page.read_text()
+    assert (tmp_path / "report.html").read_text() == "of collect-grasps, with pictures"

@@ -29,8 +29,8 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Output page.  [default: report.html in the folder, trials.html for "
-            "trials, NAME.html by the file]"
+            help="Output page.  [default: report.html in the folder, trials.html or grasps.html "
+            "for trials or grasps, NAME.html by the file]"
         ),
     ] = None,
     pictures: Annotated[
@@ -60,44 +60,65 @@ def report(
     from pointsdf_cli.viz.sheets import save_figure, sdf_slices, views_sheet
 
     title = f"rgrasp: {artifacts.resolve().name}"
-    # The report.html of trials shows more, such as pictures of failures.
-    name = "trials.html" if (artifacts / "trials.h5").is_file() else "report.html"
+    found = _below(artifacts)
+    shown = {"views", "labels"} & set(found) or {"grasps"}
+    # The report.html of trials and of collect-grasps shows more, such as pictures of failures.
+    name = "grasps.html" if found.keys() & shown == {"grasps"} else "report.html"
+    name = "trials.html" if (artifacts / "trials.h5").is_file() else name
     page = out or (artifacts / name if artifacts.is_dir() else artifacts.with_suffix(".html"))
     drawn = [] if pictures is None else [pictures / name for name in _PICTURES]
     require_apart([page, *drawn], [artifacts, robot, meshes])
-    made = _content(artifacts, robot, meshes, unit, title)
+    made = _content(artifacts, found, robot, meshes, unit, title)
     if pictures and isinstance(made, str):
         hint = "leave it out: the page contains its pictures"
         raise InputError("is only for pages about views or labels", where="--pictures", hint=hint)
+    views, labels = sample_items(made) if pictures and not isinstance(made, str) else ([], [])
+    if pictures and not views and not labels:
+        raise InputError("no meshes were found", where="--pictures", hint="add --meshes FOLDER")
     for path in (page, *drawn):  # known before anything is written
         require_place(path, force)
     text = made if isinstance(made, str) else data_report(made, title)
     write_text_atomic(page, text)
     written = [page]
-    if pictures and not isinstance(made, str):
-        views, labels = sample_items(made)
-        if views:
-            written.append(drawn[0])
-            save_figure(views_sheet(views), written[-1])
-        if labels:
-            written.append(drawn[1])
-            save_figure(sdf_slices(labels), written[-1])
-    paths = [str(path) for path in written]
-    common.Reporter(quiet, as_json).result({"written": paths}, paths)
+    if views:
+        written.append(drawn[0])
+        save_figure(views_sheet(views), written[-1])
+    if labels:
+        written.append(drawn[1])
+        save_figure(sdf_slices(labels), written[-1])
+    paths, reporter = [str(path) for path in written], common.Reporter(quiet, as_json)
+    if left := [f"{len(files)} {kind}" for kind, files in found.items() if kind not in shown]:
+        reporter.say(f"left out: {', '.join(left)}; for their pages name their folder or a file")
+    reporter.result({"written": paths}, paths)
+
+
+def _below(path: Path) -> dict[str, list[Path]]:
+    """Artifacts below a folder by kind; none for a file, a checkpoint and a folder of trials."""
+    from pointsdf_cli.io.checkpoints import CONFIG
+    from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
+
+    found: dict[str, list[Path]] = {}
+    one = not path.is_dir() or (path / "trials.h5").is_file() or (path / CONFIG).is_file()
+    for file in () if one else artifacts_below(path):
+        found.setdefault(schema_of(file), []).append(file)
+    return found
 
 
 def _content(
-    path: Path, robot: Path | None, meshes: Path | None, unit: str, title: str
+    path: Path,
+    found: dict[str, list[Path]],
+    robot: Path | None,
+    meshes: Path | None,
+    unit: str,
+    title: str,
 ) -> str | DataFolder:
     """HTML page about a file, a folder of grasps or trials, or a checkpoint; or the views and
-    labels to make one of.
+    labels to make one of. `found` is what `_below` finds.
 
     Raises:
         InputError: No page can be made of this, or an option is given that it does not use.
     """
     from pointsdf_cli.io.checkpoints import CONFIG
-    from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
-    from pointsdf_cli.viz.data_report import scan
 
     if path.is_file() and path.suffix.lower() not in (".h5", ".hdf5"):
         from pointsdf_cli.viz.shape_report import shape_report
@@ -113,12 +134,24 @@ def _content(
 
         _require_unused("a checkpoint", robot, meshes)
         return checkpoint_report(path, title)
-    files = artifacts_below(path)
-    kinds = [schema_of(file) for file in files]
-    if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
-        return scan(path, meshes)
-    grasps = [p for p, kind in zip(files, kinds, strict=True) if kind == "grasps"]
-    return _of_grasps(grasps, title)
+    if {"views", "labels"} & set(found):
+        return _data(path / "any", found, meshes)
+    if "grasps" in found:
+        return _of_grasps(found["grasps"], title)
+    what = f"holds {', '.join(found) or 'no artifacts'}, of which no common page can be made"
+    allowed = "views, labels, grasps or trials"
+    hint = f"rgrasp report {found['plan'][0]} makes a page of one" if "plan" in found else None
+    raise InputError(what, where=path, allowed=allowed, hint=hint)
+
+
+def _data(near: Path, found: dict[str, list[Path]], meshes: Path | None) -> DataFolder:
+    """Views and labels, whose meshes are searched as those of the file `near`, and below
+    `meshes`."""
+    from pointsdf_cli.viz.data_report import DataFolder
+    from pointsdf_cli.viz.scene_sources import mesh_folders, meshes_below
+
+    files = list(meshes_below(*mesh_folders(near), meshes))
+    return DataFolder(found.get("views", []), found.get("labels", []), files)
 
 
 def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) -> str | DataFolder:
@@ -128,9 +161,7 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
     is_data = kind in ("views", "labels")
     _require_unused(kind, None if kind == "plan" else robot, None if is_data else meshes)
     if is_data:
-        from pointsdf_cli.viz.data_report import single
-
-        return single(path, kind, meshes)
+        return _data(path, {kind: [path]}, meshes)
     if kind == "grasps":
         return _of_grasps([path], title)
     if kind == "plan":

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
 from pointsdf_cli.io.labels import Labels, read_labels
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.views import Views, read_views
 from pointsdf_cli.viz import html
-from pointsdf_cli.viz.scene_sources import mesh_folders, mesh_of, meshes_below
+from pointsdf_cli.viz.scene_sources import mesh_of
 from pointsdf_cli.viz.sheets import sdf_slices, views_sheet
 
 SHOWN = 6
@@ -23,38 +21,11 @@ SHOWN = 6
 
 @dataclass(frozen=True)
 class DataFolder:
-    """The artifacts found below a folder, by schema."""
+    """Artifacts by schema, and files that may be their meshes."""
 
     views: list[Path]
     labels: list[Path]
     meshes: list[Path]
-
-
-def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
-    """Find views, labels and meshes below `folder` (meshes also below `meshes`).
-
-    Raises:
-        InputError: The folder does not exist, or has neither views nor labels.
-    """
-    if not folder.is_dir():
-        raise InputError("no such folder", where=folder)
-    found: dict[str, list[Path]] = {"views": [], "labels": []}
-    for path in artifacts_below(folder):
-        found.setdefault(schema_of(path), []).append(path)
-    if not found["views"] and not found["labels"]:
-        raise InputError(
-            "holds neither views nor labels",
-            where=folder,
-            allowed="a folder that rgrasp render or label-sdf wrote to",
-        )
-    return DataFolder(found["views"], found["labels"], list(meshes_below(folder, meshes)))
-
-
-def single(path: Path, schema: str, meshes: Path | None = None) -> DataFolder:
-    """One file of views or labels, by its `schema`; its mesh is searched in meshes/ beside views/,
-    and below `meshes`."""
-    views, labels = ([path] if schema == kind else [] for kind in ("views", "labels"))
-    return DataFolder(views, labels, list(meshes_below(*mesh_folders(path), meshes)))
 
 
 def data_report(found: DataFolder, title: str) -> str:
