@@ -58,6 +58,21 @@ def test_the_seen_points_are_seen_from_the_camera_only(meshes: RobotMeshes) -> N
     assert blue[0] > 3 * max(1, blue[1])
 
 
+def test_a_camera_above_looks_down_and_the_far_side_is_looked_at_from_low(
+    meshes: RobotMeshes,
+) -> None:
+    """A ball whose upper half is seen: from the camera it is all blue, from the far side half."""
+    whole = ball()
+    assert whole.believed is not None
+    vertices = whole.believed[0]
+    scene = PlanScene(vertices[vertices[:, 2] > 0.05], np.array([0.65, 0.0, 1.2]), whole.believed)
+    above, below = (
+        (picture[..., 2].astype(int) > picture[..., 0].astype(int) + 60).nonzero()[0]
+        for picture in close_ups(meshes, ROBOT.home, scene)
+    )
+    assert np.ptp(above) > 1.5 * np.ptp(below) > 0
+
+
 def test_a_page_is_written_whole(meshes: RobotMeshes, tmp_path: Path) -> None:
     # Dollars are no formula.
     plan_picture(

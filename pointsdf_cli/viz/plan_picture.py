@@ -1,8 +1,8 @@
 """A plan on one page: the robot at the grasp, and the hand at the object from two sides.
 
-The middle picture looks from where the camera stood, the right one from behind the object, where
-the camera saw nothing: what is drawn there is what was believed. In both the arm is left out and
-the hand is translucent, so that the object shows through.
+The middle picture looks from where the camera stood, the right one from the far side of the object,
+where the camera saw little: most of what is drawn there was believed. In both the arm is left out
+and the hand is translucent, so that the object shows through.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ POINT_SIZE = 0.0014
 MOST_POINTS = 1500
 SIZE, FIELD_OF_VIEW = (480, 440), 0.62
 """Width and height of each picture [pixels], and its vertical field of view [rad]."""
+DISTANCE = 0.68
+"""Distance of the close-ups from the object's middle [m]."""
 TRANSLUCENT = 0.62
 """Opacity of the robot over the objects behind it, in the close-ups."""
 
@@ -81,7 +83,7 @@ def plan_picture(
         title, below: Words above and below.
     """
     pictures = [overview(robot, q, scene), *close_ups(robot, q, scene)]
-    captions = ["from the camera", "from behind: unseen by the camera"]
+    captions = ["from the camera (blue: seen)", "from the far side"]
     with atomic_path(path) as temporary:
         _page(pictures, title, captions, below).save(temporary, format="png", compress_level=3)
 
@@ -95,19 +97,20 @@ def overview(robot: RobotMeshes, q: Array, scene: PlanScene) -> NDArray[np.uint8
 
 
 def close_ups(robot: RobotMeshes, q: Array, scene: PlanScene) -> list[NDArray[np.uint8]]:
-    """The object with the translucent hand, from where the camera stood and from behind.
+    """The object with the translucent hand, from where the camera stood and from the far side.
 
-    The arm is left out: it reaches over from behind, and would stand before everything.
+    The far side is the lower, the more the camera looked down, as far as the table allows. The arm
+    is left out: it reaches over from behind, and would stand before everything.
     """
     hand = robot.at(q, hand_only=True)
     stage = Stage([*hand, *scene.painted()], translucent=len(hand), opacity=TRANSLUCENT)
-    toward, pictures = scene.camera - scene.centre, []
-    for turn in (0.0, np.pi):
-        heading = float(np.arctan2(toward[1], toward[0])) + turn
-        way = np.array([np.cos(heading), np.sin(heading), 0.45])
-        camera = look_at(scene.centre + 0.62 * way, scene.centre)
-        pictures.append(stage.image(camera, SIZE, FIELD_OF_VIEW))
-    return pictures
+    x, y, z = (scene.camera - scene.centre) / np.linalg.norm(scene.camera - scene.centre)
+    level, heading = np.hypot(x, y), np.arctan2(y, x)
+    far = np.array([-np.cos(heading), -np.sin(heading), 0.45 * level])
+    return [
+        stage.image(look_at(scene.centre + DISTANCE * way, scene.centre), SIZE, FIELD_OF_VIEW)
+        for way in (np.array([x, y, z]), far / np.linalg.norm(far))
+    ]
 
 
 LETTERS, SMALL_LETTERS, LINE = 14, 13, 17

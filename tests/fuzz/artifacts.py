@@ -31,11 +31,11 @@ from pointsdf_cli.trials.pictures import caption
 from pointsdf_cli.trials.report import markdown_report
 from pointsdf_cli.trials.summary import summarise
 from pointsdf_cli.viz.artifact_scene import scene_of
-from pointsdf_cli.viz.data_report import data_report, single
+from pointsdf_cli.viz.data_report import DataFolder, data_report
 from pointsdf_cli.viz.grasp_report import grasp_report
 from pointsdf_cli.viz.html_scene import scene_page
 from pointsdf_cli.viz.plan_report import plan_report
-from pointsdf_cli.viz.scene_sources import SceneOptions
+from pointsdf_cli.viz.scene_sources import SceneOptions, mesh_folders, meshes_below
 
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
 
@@ -54,7 +54,8 @@ def _shown(path: Path) -> object:
 def _views(path: Path) -> object:
     read_views_header(path)
     views = read_views(path)
-    return _shown(path), data_report(single(path, "views"), "t"), views.cloud.mean()
+    found = DataFolder([path], [], list(meshes_below(*mesh_folders(path))))
+    return _shown(path), data_report(found, "t"), views.cloud.mean()
 
 
 def _labels(path: Path) -> object:
