@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ import trimesh
 from grasp_worlds import assert_same_grasps
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.io.grasps import HELD, LOST, read_grasps
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.replay import pick_attempts
 from pointsdf_cli.training.gs_data import fold_grasps, read_grasp_data
 
 pytest.importorskip("pybullet")
@@ -265,3 +267,13 @@ def test_bad_options_are_refused_and_leave_nothing(
     result = cli("collect-grasps", "--meshes", meshes, "--out", out, *options)
     assert result.code == 2
     assert not list(out.rglob("*.h5")) if out.exists() else True
+
+
+def test_as_many_attempts_are_drawn_as_there_are() -> None:
+    label = np.array([HELD] * 7 + [LOST] * 5)
+    grasps: Any = SimpleNamespace(simulated=np.ones(12, bool), label=label)
+    meta: Any = None
+    chosen = pick_attempts([("can", grasps, meta)], 6)
+    assert len(set(chosen)) == len(chosen)
+    assert sum(row < 7 for _, row in chosen) == 6
+    assert sum(row >= 7 for _, row in chosen) == 5

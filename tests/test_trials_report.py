@@ -135,6 +135,12 @@ def test_lifts_stand_beside_what_was_predicted() -> None:
     assert counts == ["0% of 1", "100% of 1", "50% of 2", "100% of 1 |"]
 
 
+def test_what_would_end_a_cell_or_a_row_is_escaped() -> None:
+    page = markdown_report([replace(ROW, object="a|b")], "t", {"vase": "is\nbroken | open"})
+    assert "| a\\|b | 1 of 1 |" in page
+    assert "| vase | is broken \\| open |" in page
+
+
 def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]) -> None:
     page = html_report(rows, [("a failure <here>", b"\x89PNG")], "trials", {"vase": "is broken"})
     HTMLParser().feed(page)

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -338,3 +339,23 @@ def test_view_exports_and_refuses(tmp_path: Path, cli: Callable) -> None:
         assert refused.code == 2
         assert str(bad) in refused.err
     assert not (tmp_path / "q.html").exists()
+
+
+def test_playing_begins_anew_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pointsdf_cli.viz import viewer
+
+    shown: list[tuple[int, bool]] = []
+    slider, button = SimpleNamespace(value=2), SimpleNamespace(value=True)
+
+    def sleep(_: float) -> None:
+        shown.append((slider.value, button.value))
+        if len(shown) == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(viewer.time, "sleep", sleep)
+    served = viewer.Viewer.__new__(viewer.Viewer)  # without a server
+    served.scene = SimpleNamespace(frames=3, rate=4.0)
+    served._slider, served._play, served.frame = slider, button, 2
+    with pytest.raises(KeyboardInterrupt):
+        served.run()
+    assert shown == [(0, True), (1, True), (2, True), (2, False), (2, False)]

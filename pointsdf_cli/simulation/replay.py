@@ -28,7 +28,7 @@ def pick_attempts(
     picked: dict[int, list[tuple[str, int]]] = {HELD: [], LOST: []}
     rng = np.random.default_rng(0)
     order = rng.permutation(len(items))
-    for _ in range(3):  # a second and third of an object only if there are too few objects
+    for _ in range(count):  # a second of an object only if there are too few objects
         for k in order:
             name, grasps, _ = items[int(k)]
             for label, chosen in picked.items():

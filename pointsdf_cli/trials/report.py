@@ -77,7 +77,7 @@ def markdown_report(
     if refused:
         tables.append(("Skipped", ("trials", "reason"), list(refused.items())))
     for name, header, body in tables:
-        lines += [f"## {name}", "", "| " + " | ".join(header) + " |"]
+        lines += [f"## {name}", "", "| " + " | ".join(map(_plain, header)) + " |"]
         lines.append("|" + "---|" * len(header))
         lines += ["| " + " | ".join(_plain(cell) for cell in row) + " |" for row in body]
         lines.append("")
@@ -292,4 +292,6 @@ def p_value(p: float) -> str:
 
 
 def _plain(cell: object) -> str:
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+    if isinstance(cell, float):
+        return f"{cell:.4g}"
+    return " ".join(str(cell).split()).replace("|", "\\|")  # what would end a cell or a row

@@ -86,14 +86,15 @@ class Viewer:
         self._caption.content = self.scene.captions[self.frame] or " "
 
     def run(self) -> None:
-        """Play while the button is on, until interrupted."""
+        """Play while the button is on, until interrupted; from the end, anew."""
+        playing = False
         while True:
-            if self._play.value and self.frame + 1 < self.scene.frames:
-                self._slider.value = self.frame + 1
-                time.sleep(1 / self.scene.rate)
-            else:
-                self._play.value = False
-                time.sleep(0.1)
+            frame = int(self._slider.value)
+            ended = frame + 1 >= self.scene.frames
+            self._play.value = playing = self._play.value and not (playing and ended)
+            if playing:
+                self._slider.value = 0 if ended else frame + 1
+            time.sleep(1 / self.scene.rate if playing else 0.1)
 
     def _show_parts(self) -> None:
         for part, handle in self._parts:
