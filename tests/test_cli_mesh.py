@@ -112,6 +112,7 @@ def test_a_world_cloud_gives_a_mesh_in_the_world(full: Path, tmp_path: Path) -> 
         mesh(saved(tmp_path, world, frame="world", T_world_camera=POSE), full, "--out", out)[0] == 0
     )
     made = trimesh.load(out)
+    assert ply_comments(out)["frame"] == "world"
     in_camera = apply_transform(invert_transform(POSE), made.vertices)
     assert np.array([in_camera.min(0), in_camera.max(0)]) == pytest.approx(
         box_about(POINTS), abs=2e-6

@@ -179,7 +179,6 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
     import numpy as np
 
     from pointsdf_cli.geometry.frames import apply_transform
-    from pointsdf_cli.io.clouds import frame_comments
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.meshes import UNITS, save_mesh
     from pointsdf_cli.preload import preload
@@ -205,8 +204,7 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
     made = completed.mesh
     reporter.say(*(f"warning: {sentence}" for sentence in completed.warnings))
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[unit]
-    place = frame_comments(seen.frame, seen.T_world_camera)
-    save_mesh(task.out, vertices, made.faces, place)
+    save_mesh(task.out, vertices, made.faces, seen.comments)
     if picture:
         # Matplotlib and Open3D take longer to load than the mesh takes to make.
         from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pointsdf_cli.viz.data_report import DataFolder
 
 
+Found = dict[str, list[Path]]
 _PICTURES = ("views.png", "signed_distance.png")
 
 
@@ -56,16 +57,18 @@ def report(
 
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place, write_text_atomic
+    from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
     from pointsdf_cli.viz.data_report import data_report, sample_items
     from pointsdf_cli.viz.sheets import save_figure, sdf_slices, views_sheet
 
     title = f"rgrasp: {artifacts.resolve().name}"
-    found = _below(artifacts)
+    trials, found = (artifacts / "trials.h5").is_file(), Found()
+    for file in [] if trials else artifacts_below(artifacts):
+        found.setdefault(schema_of(file), []).append(file)
     shown = {"views", "labels"} & set(found) or {"grasps"}
     # The report.html of trials and of collect-grasps shows more, such as pictures of failures.
-    name = "grasps.html" if found.keys() & shown == {"grasps"} else "report.html"
-    name = "trials.html" if (artifacts / "trials.h5").is_file() else name
-    page = out or (artifacts / name if artifacts.is_dir() else artifacts.with_suffix(".html"))
+    name = "trials" if trials else "grasps" if found.keys() & shown == {"grasps"} else "report"
+    page = out or (artifacts / name if artifacts.is_dir() else artifacts).with_suffix(".html")
     drawn = [] if pictures is None else [pictures / name for name in _PICTURES]
     require_apart([page, *drawn], [artifacts, robot, meshes])
     made = _content(artifacts, found, robot, meshes, unit, title)
@@ -92,28 +95,11 @@ def report(
     reporter.result({"written": paths}, paths)
 
 
-def _below(path: Path) -> dict[str, list[Path]]:
-    """Artifacts below a folder by kind; none for a file, a checkpoint and a folder of trials."""
-    from pointsdf_cli.io.checkpoints import CONFIG
-    from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
-
-    found: dict[str, list[Path]] = {}
-    one = not path.is_dir() or (path / "trials.h5").is_file() or (path / CONFIG).is_file()
-    for file in () if one else artifacts_below(path):
-        found.setdefault(schema_of(file), []).append(file)
-    return found
-
-
 def _content(
-    path: Path,
-    found: dict[str, list[Path]],
-    robot: Path | None,
-    meshes: Path | None,
-    unit: str,
-    title: str,
+    path: Path, found: Found, robot: Path | None, meshes: Path | None, unit: str, title: str
 ) -> str | DataFolder:
     """HTML page about a file, a folder of grasps or trials, or a checkpoint; or the views and
-    labels to make one of. `found` is what `_below` finds.
+    labels to make one of. `found` are the artifacts below a folder.
 
     Raises:
         InputError: No page can be made of this, or an option is given that it does not use.
@@ -144,7 +130,7 @@ def _content(
     raise InputError(what, where=path, allowed=allowed, hint=hint)
 
 
-def _data(near: Path, found: dict[str, list[Path]], meshes: Path | None) -> DataFolder:
+def _data(near: Path, found: Found, meshes: Path | None) -> DataFolder:
     """Views and labels, whose meshes are searched as those of the file `near`, and below
     `meshes`."""
     from pointsdf_cli.viz.data_report import DataFolder

@@ -10,7 +10,7 @@ from pointsdf_cli.camera.scene_file import SceneFileOptions, is_depth_image, mas
 from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
-from pointsdf_cli.io.clouds import Cloud, check_object_cloud
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud, frame_comments
 from pointsdf_cli.io.poses import box, camera_pose, table_place
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 
@@ -48,6 +48,12 @@ class ObjectView:
     alone: bool = False
     evidence: ViewEvidence | None = None
     T_world_camera: Array | None = None
+
+    @property
+    def comments(self) -> dict[str, str]:
+        """Header comments of its mesh: where it lies."""
+        there = self.T_frame_camera if self.frame == "world" else self.T_world_camera
+        return frame_comments(self.frame, there)
 
 
 def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:

@@ -10,7 +10,6 @@ from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import as_input_error
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import atomic_path, write_text_atomic
-from pointsdf_cli.io.clouds import frame_comments
 from pointsdf_cli.io.each_file import is_done
 from pointsdf_cli.io.meshes import UNITS, save_mesh
 from pointsdf_cli.io.provenance import file_sha256
@@ -103,8 +102,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
     summary = MeshSummary(len(vertices), len(made.faces), completed.seconds, completed.warnings)
     with atomic_path(task.out) as temporary:
-        place = frame_comments(seen.frame, seen.T_world_camera)
-        save_mesh(temporary, vertices, made.faces, place)
+        save_mesh(temporary, vertices, made.faces, seen.comments)
         told = {"config": config, "sha256": file_sha256(temporary), **asdict(summary)}
         task.out.unlink(missing_ok=True)  # the old mesh must not stand beside the new record
         write_text_atomic(task.record, to_json(told, indent=1) + "\n")

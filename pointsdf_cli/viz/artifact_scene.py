@@ -51,20 +51,15 @@ def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
     places = [cloud_place(read_cloud(path, options.unit, drop_invalid=True)) for path in clouds]
     # Views and labels are in the frame of their mesh.
     if set(kinds) != {"mesh"} and not {"views", "labels"} & set(kinds):
-        for k, kind in enumerate(kinds):
-            if kind == "mesh":
-                scenes[k] = _set_down(scenes[k], paths[k], places)
+        for k in [k for k, kind in enumerate(kinds) if kind == "mesh"]:
+            scenes[k] = _set_down(scenes[k], paths[k], places)
     return joined(scenes)
-
-
-def _robot(path: Path, options: SceneOptions) -> Scene:
-    return robot_scene(load_robot(path), path.name)
 
 
 _SCENES = {
     "cloud": cloud_scene,
     "mesh": mesh_scene,
-    "robot": _robot,
+    "robot": lambda path, _: robot_scene(load_robot(path), path.name),
     "views": views_scene,
     "labels": labels_scene,
     "grasps": grasps_scene,

@@ -31,8 +31,6 @@ POINT_SIZE = 0.0014
 MOST_POINTS = 1500
 SIZE, FIELD_OF_VIEW = (480, 440), 0.62
 """Width and height of each picture [pixels], and its vertical field of view [rad]."""
-DISTANCE = 0.68
-"""Distance of the close-ups from the object's middle [m]."""
 TRANSLUCENT = 0.62
 """Opacity of the robot over the objects behind it, in the close-ups."""
 
@@ -108,7 +106,7 @@ def close_ups(robot: RobotMeshes, q: Array, scene: PlanScene) -> list[NDArray[np
     level, heading = np.hypot(x, y), np.arctan2(y, x)
     far = np.array([-np.cos(heading), -np.sin(heading), 0.45 * level])
     return [
-        stage.image(look_at(scene.centre + DISTANCE * way, scene.centre), SIZE, FIELD_OF_VIEW)
+        stage.image(look_at(scene.centre + 0.68 * way, scene.centre), SIZE, FIELD_OF_VIEW)
         for way in (np.array([x, y, z]), far / np.linalg.norm(far))
     ]
 
