@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.robot.collision import SelfCollision
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import link_surface, robot_surface
@@ -100,44 +99,28 @@ def fingertips(robot: RobotDescription) -> tuple[str, ...]:
 
 
 def _struts(robot: RobotDescription, chains: dict[str, set[str]]) -> set[str]:
-    """Fingertips that overlap a link of another finger, one that reaches farther, however far the
-    hand is closed.
+    """Fingertips that overlap a link of a finger that reaches farther, however far the hand is
+    closed.
 
     Args:
         robot: The robot.
         chains: The links of each finger that have a shape, by its fingertip.
     """
-    kinematics = Kinematics(robot)
-    share = np.array([[0.0], [0.5], [1.0]])
+    kinematics, share = Kinematics(robot), np.array([[0.0], [0.5], [1.0]])
     q = robot.follow((1 - share) * robot.lower + share * robot.upper)
-    rotation, position = kinematics(q)
-    surface = {
-        link: link_surface(robot.tree.shapes[link]) for chain in chains.values() for link in chain
-    }
-    at = {link: kinematics.index(link) for link in [robot.palm_link, *surface]}
-
-    def local(link: str, frame: str) -> Tensor:
-        """Points of a link in the frame of another, [3, P, 3]."""
-        points = torch.from_numpy(surface[link])
-        world = points @ rotation[:, at[link]].transpose(1, 2) + position[:, None, at[link]]
-        return (world - position[:, None, at[frame]]) @ rotation[:, at[frame]]
-
-    def depth(link: str, other: str) -> Tensor:
-        """Distances [3] of a link's points to the shapes of another."""
-        points = local(link, other)
-        far = [shape.signed_distance(points).amin(dim=1) for shape in robot.tree.shapes[other]]
-        return torch.stack(far).amin(dim=0)
-
-    reach = {tip: float(local(tip, robot.palm_link).norm(dim=2).max()) for tip in chains}
-    return {
-        tip
+    between = {
+        (tip, other): [(tip, link) for link in sorted(chains[other] - chains[tip])]
         for tip, other in permutations(chains, 2)
-        if tip not in chains[other] and reach[tip] < reach[other]
-        if any(
-            bool((torch.minimum(depth(tip, link), depth(link, tip)) < 0).all())
-            for link in chains[other] - chains[tip]
-        )
     }
+    pairs = [pair for links in between.values() for pair in links]
+    overlap = (SelfCollision(kinematics, pairs=pairs)(*kinematics(q)) < 0).all(dim=0)
+    met = {pair for pair, always in zip(pairs, overlap.tolist(), strict=True) if always}
+    surface = [(tip, link_surface(robot.tree.shapes[tip])) for tip in chains]
+    *points, palm = kinematics.points(q[0], [*surface, (robot.palm_link, np.zeros((1, 3)))])
+    reach = {
+        tip: float((p - palm).norm(dim=1).max()) for tip, p in zip(chains, points, strict=True)
+    }
+    return {a for (a, b), links in between.items() if reach[a] < reach[b] and met & set(links)}
 
 
 def to_palm_axis(robot: RobotDescription, points: Array) -> Array:

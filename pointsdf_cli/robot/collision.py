@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,14 +63,19 @@ class SelfCollision:
         kinematics: Kinematics of the robot.
         spacing: Spacing of the surface points [m].
         exact_to: Distances up to here [m] are computed from the shapes.
+        pairs: The pairs; the robot's checked ones if None.
     """
 
     def __init__(
-        self, kinematics: Kinematics, spacing: float = SPACING, exact_to: float = 0.02
+        self,
+        kinematics: Kinematics,
+        spacing: float = SPACING,
+        exact_to: float = 0.02,
+        pairs: Sequence[tuple[str, str]] | None = None,
     ) -> None:
         self._robot = kinematics.robot
         self.exact_to = exact_to
-        self.pairs = self._robot.checked_pairs
+        self.pairs = self._robot.checked_pairs if pairs is None else tuple(pairs)
         self._bodies: dict[str, _Body] = {}
         for link in {link for pair in self.pairs for link in pair}:
             shapes = self._robot.tree.shapes[link]
