@@ -349,6 +349,7 @@ def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None
     }
     assert learned == {
         "lbr4_allegro": "pointsdf_real", "lbr4_barrett": "pointsdf_real", "panda": "pointsdf_real",
+        "ur5e_2f85": "pointsdf_real",
     }  # fmt: skip
     assert reconstruction_for(None) == default_checkpoint()
     assert reconstruction_for(bundled / "grasp_scratch") == default_checkpoint()

@@ -12,7 +12,7 @@ import trimesh
 from conftest import run_cli
 from planning_worlds import AroundObject, CylinderField, NearPalm
 
-from pointsdf_cli.assets import asset_path
+from pointsdf_cli.assets import asset_path, bundled_robots
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_vector, transform
 from pointsdf_cli.io.meshes import LoadedMesh
@@ -179,7 +179,12 @@ def test_a_can_is_planned_for(panda: RobotDescription) -> None:
 
 
 def test_each_bundled_robot_has_success_weights_of_its_own() -> None:
-    for name, folder in (("lbr4_allegro", "grasp_geometry"), ("panda", "panda_geometry")):
+    folders = {
+        "lbr4_allegro": "grasp_geometry", "lbr4_barrett": "barrett_geometry",
+        "panda": "panda_geometry", "ur5e_2f85": "ur5e_geometry",
+    }  # fmt: skip
+    assert set(folders) == set(bundled_robots())
+    for name, folder in folders.items():
         robot = load_robot(name)
         found = bundled_success(robot)
         assert found is not None
