@@ -4,9 +4,9 @@ Run it after a change of any number here: `python assets/robots/make_ur5e_2f85.p
 efforts and speeds of the arm are those of the maker's pages ("DH parameters for calculations of
 kinematics and dynamics", "Max. joint torques") and, with frames and names, of its URDF; its joints
 turn by half a turn each way here, though most of the real ones turn by a whole one. Frames and
-names of the gripper are those of the ROS-Industrial URDF. Its pads stay parallel: that it also
-encloses what touches the fingers behind them is not modelled. Shapes are primitives; no link of the
-makers' meshes stands out by more than 5 mm.
+joint names of the gripper are those of the ROS-Industrial URDF, whose fixed links are joined here.
+Its pads stay parallel: that it also encloses what touches the fingers behind them is not modelled.
+Shapes are primitives; no link of the makers' meshes stands out by more than 5 mm.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ LEVER = 0.05
 
 
 def add_gripper(model: Model) -> None:
-    """The gripper's body, and two fingers of four links each; the pads stay parallel."""
+    """The gripper's body, and two fingers of three links each; the pads stay parallel."""
     body = [
         tube(0.0385, -0.0139, 0.034),
         box((0.066, 0.083, 0.03), (0, 0, 0.038)),
