@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,14 @@ def test_a_camera_above_looks_down_and_the_far_side_is_looked_at_from_low(
         for picture in close_ups(meshes, ROBOT.home, scene)
     )
     assert np.ptp(above) > 1.5 * np.ptp(below) > 0
+
+
+def test_a_camera_that_is_assumed_below_the_table_looks_from_above_it(
+    meshes: RobotMeshes,
+) -> None:
+    below = replace(ball(), camera=np.array([1.2, 0.0, -0.3]))
+    picture = close_ups(meshes, ROBOT.home, below)[0].astype(int)
+    assert (picture[..., 2] > picture[..., 0] + 60).sum() > 150  # the table would hide the points
 
 
 def test_a_page_is_written_whole(meshes: RobotMeshes, tmp_path: Path) -> None:

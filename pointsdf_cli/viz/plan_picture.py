@@ -31,6 +31,8 @@ POINT_SIZE = 0.0014
 MOST_POINTS = 1500
 SIZE, FIELD_OF_VIEW = (480, 440), 0.62
 """Width and height of each picture [pixels], and its vertical field of view [rad]."""
+LOWEST = 0.05
+"""Least height over distance from which the close-ups look."""
 TRANSLUCENT = 0.62
 """Opacity of the robot over the objects behind it, in the close-ups."""
 
@@ -103,6 +105,7 @@ def close_ups(robot: RobotMeshes, q: Array, scene: PlanScene) -> list[NDArray[np
     hand = robot.at(q, hand_only=True)
     stage = Stage([*hand, *scene.painted()], translucent=len(hand), opacity=TRANSLUCENT)
     x, y, z = (scene.camera - scene.centre) / np.linalg.norm(scene.camera - scene.centre)
+    z = max(z, LOWEST)  # a camera pose that is only assumed may lie below the table
     level, heading = np.hypot(x, y), np.arctan2(y, x)
     far = np.array([-np.cos(heading), -np.sin(heading), 0.45 * level])
     return [
