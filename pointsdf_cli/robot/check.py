@@ -21,7 +21,7 @@ ERROR, WARNING = "error", "warning"
 SLACK = 1e-3
 """Limits of a follower may be narrower than its leader's by this much [rad or m]."""
 FINE = 0.0025
-"""Spacing [m] of the surface points of links at home: where edges cross, points are too far."""
+"""Spacing of surface points of links at home [m]; edges that cross slip between coarser ones."""
 POSES, ANYWHERE = 60, 24
 """Number of palm poses for inverse kinematics, and of configurations to check."""
 
