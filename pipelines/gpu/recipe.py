@@ -1,4 +1,4 @@
-"""The recipe of a folder of view files: what decided them, and whether more of them are made."""
+"""The recipe of a folder of view files: the options that made them, and whether more are made."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def begin(folder: Path, recipe: dict[str, Any]) -> None:
         raise InputError(
             f"its views were made with other options or scans ({other})",
             where=folder,
-            hint="give those of before, or another folder",
+            hint="give the former options and scans, or another folder",
         )
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ENDED).unlink(missing_ok=True)
