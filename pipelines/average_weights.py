@@ -8,6 +8,7 @@ where a run specialised (Wortsman et al. 2022, "Model soups").
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -19,14 +20,13 @@ OF_A_RUN = ("training", "progress", "best", "data", "git_commit")
 
 
 @leave_with_message()
-def main(first_path: Path, second_path: Path, share: float, out: Path) -> None:
+def main(first_path: Path, second_path: Path, given_share: str, out: Path) -> None:
     """Write the mean with the configuration of SECOND and, under `mean`, the first run.
 
     Raises:
         SystemExit: SHARE is not from 0 to 1, or the networks are not of one kind and size.
     """
-    if not 0.0 <= share <= 1.0:
-        raise InputError(f"{share} is no share", where="SHARE", allowed="0 to 1")
+    share = _share(given_share)
     first, second = read_checkpoint(first_path), read_checkpoint(second_path)
     kinds = [{name: value.shape for name, value in one.weights.items()} for one in (first, second)]
     if kinds[0] != kinds[1]:
@@ -42,7 +42,17 @@ def main(first_path: Path, second_path: Path, share: float, out: Path) -> None:
     write_checkpoint(out, config=config, weights=weights, half=True)
 
 
+def _share(given: str) -> float:
+    try:
+        share = float(given)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 1.0:
+        raise InputError(f"{given!r} is no share", where="SHARE", allowed="0 to 1")
+    return share
+
+
 if __name__ == "__main__":
     if len(sys.argv) != 5:
         raise SystemExit(__doc__)
-    main(Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]), Path(sys.argv[4]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], Path(sys.argv[4]))

@@ -203,6 +203,15 @@ def test_the_place_in_a_page_that_is_linked_to_is_there(page: Path) -> None:
             assert anchor in anchors(there), f"{page.name} links to {target}#{anchor}"
 
 
+def test_the_studies_that_the_code_cites_are_there() -> None:
+    notebook = (REPOSITORY / "docs" / "notebook.md").read_text(encoding="utf-8")
+    files = (REPOSITORY / "pointsdf_cli").rglob("*.py")
+    code = " ".join(path.read_text(encoding="utf-8") for path in files)
+    cited = re.findall(r'docs/notebook\.md, "([^"]+)"', " ".join(code.split()))
+    assert cited
+    assert [title for title in cited if title not in notebook] == []
+
+
 def test_the_code_that_the_method_page_names_is_there() -> None:
     text = (REPOSITORY / "docs" / "method.md").read_text(encoding="utf-8")
     found = CODE_NAME.findall(text)

@@ -108,7 +108,8 @@ def test_weights_are_checked_before_they_replace_others(
     before = read_checkpoint(good).config
     assert "no architecture" in refusal(monkeypatch, capsys, export, success, good)
     assert "itself" in refusal(monkeypatch, capsys, export, good, good)
-    assert "share" in refusal(monkeypatch, capsys, mean, good, good, 1.5, good)
+    for share in (1.5, "half"):
+        assert "share" in refusal(monkeypatch, capsys, mean, good, good, share, good)
     assert "other weights" in refusal(monkeypatch, capsys, mean, good, success, 0.5, good)
     assert read_checkpoint(good).config == before
 

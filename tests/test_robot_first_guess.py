@@ -188,6 +188,17 @@ def test_the_panda_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> None:
     assert 0.04 < panda.T_link_palm[2, 3] < 0.07
 
 
+@pytest.mark.parametrize("name", ["panda", "ur5e_2f85"])
+def test_the_palm_of_jaws_is_where_people_put_it(tmp_path: Path, name: str) -> None:
+    """Jaws that slide, and jaws of a linkage, which reach farther as they close."""
+    urdf = shutil.copy(asset_path(f"robots/{name}.urdf"), tmp_path)
+    assert run_cli("robot", "init", urdf, "--out", tmp_path / "mine.yaml").code == 0
+    guessed, written = load_robot(tmp_path / "mine.yaml"), load_robot(name)
+    assert guessed.palm_link == written.palm_link
+    off = guessed.T_link_palm[:3, 3] - written.T_link_palm[:3, 3]
+    assert np.abs(off).max() < 0.005
+
+
 def test_two_fingers_against_a_third_are_guessed_to_close_from_both_sides(tmp_path: Path) -> None:
     shutil.copy(asset_path("robots/lbr4_barrett.urdf"), tmp_path / "hand.urdf")
     assert run_cli("robot", "init", tmp_path / "hand.urdf").code == 0

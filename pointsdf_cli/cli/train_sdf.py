@@ -48,6 +48,9 @@ def train_sdf(
         float | None,
         typer.Option(help="Loss: probability of being inside at the predicted surface."),
     ] = None,
+    overlap_weight: Annotated[
+        float | None, typer.Option(help="Loss: weight of the overlap (IoU) of the two insides.")
+    ] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="Checkpoint with the initial weights.")
     ] = None,

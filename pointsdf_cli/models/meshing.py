@@ -68,8 +68,7 @@ def mesh_reconstruction(
 
     Without smoothing, a Newton step moves the vertices to the zero level, unless values beyond 128³
     are interpolated. With smoothing it is omitted: a network's field has small jumps, so an exact
-    zero follows their ripples, and an interpolated one averages them (docs/notebook.md,
-    "Smoothing").
+    zero follows their ripples, and an interpolated one averages them (docs/notebook.md).
 
     Args:
         reconstruction: Reconstruction of one cloud.
@@ -93,7 +92,7 @@ def mesh_reconstruction(
     interpolated = model.gives_distances and not exact and resolution > rules.smooth_from
     if interpolated:
         # An exact SDF's slope. A network is steeper in places, which hides a thousandth of the
-        # crossed cells (docs/notebook.md).
+        # crossed cells.
         rules = replace(rules, slope=1.0, smooth=LARGEST_BEND)
     config = IsosurfaceConfig(
         resolution,

@@ -28,7 +28,7 @@ from pointsdf_cli.robot.lift import lift_path
 
 ABOVE = (0.1, 0.2, 0.3)
 """Heights [m] of a place above the beginning of the approach, tried in turn. A way over such a
-place is nearly always free, and found in a fifth of a search's time (docs/notebook.md)."""
+place is nearly always free, and found in a third of a search's time (docs/notebook.md)."""
 LONGEST_EDGE = 0.8
 """Longest edge of the tree [rad]: longer ones are seldom free."""
 SHORTCUTS = 30

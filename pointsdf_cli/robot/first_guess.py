@@ -214,7 +214,7 @@ closing_joints:
 {mapping("closing_joints")}
 
 # GUESSED: x out of the palm, z along the fingers (across the jaws of a gripper), y up when it
-# grasps from the side; the origin on the palm's surface.
+# grasps from the side; the origin on the palm's surface, of a gripper 4.5 cm behind its fingertips.
 palm: {flow(data["palm"])}
 
 # Pairs of links that may touch, beside neighbours.

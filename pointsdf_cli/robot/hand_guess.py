@@ -15,8 +15,8 @@ CLOSES = 0.005
 """A joint that moves its fingertip nearer by less than this [m] over its range does not close."""
 OPEN_SHARE = 0.15
 """Preshapes are drawn from this part of a joint's range, next to its open end."""
-PAST_FACE = 0.06
-"""From the palm frame's origin to the fingertips of a gripper [m]: 3 cm before a face, 3 behind."""
+PAST_FACE = 0.045
+"""From the palm frame's origin to the fingertips of a gripper [m], as in the bundled ones."""
 SECONDS = 1.0
 """Closing takes about this long on the real robot [s], within the URDF's velocity limits."""
 PARALLEL = 0.7
@@ -169,9 +169,10 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
     front = 0.0 if body is None else float((body @ x).max())
     origin = front * x
     if jaws:
-        fingers = _in_palm_link(robot, {tip: surface[tip] for tip in tips}, q[:1])
-        # Where the jaws meet may lie beside the link's own axis.
-        origin = min(front, max(float((p @ x).max()) for p in fingers) - PAST_FACE) * x
+        # Jaws of a linkage reach farther when they begin to close. Where they meet may lie beside
+        # the link's own axis.
+        fingers = _in_palm_link(robot, {tip: surface[tip] for tip in tips}, q[:2])
+        origin = (max(float((p @ x).max()) for p in fingers) - PAST_FACE) * x
         origin = origin + (closed.mean(axis=0) @ z) * z
     return transform(np.stack([x, np.cross(z, x), z], axis=1), origin), jaws
 

@@ -12,8 +12,8 @@ from pointsdf_cli.training.checks import require_positive
 
 LOSSES: dict[str, tuple[str, ...]] = {
     "mse": (),
-    "relative": ("near", "sign_weight", "temperature", "quantile"),
-    "sign": ("sign_weight", "temperature", "quantile"),
+    "relative": ("near", "sign_weight", "temperature", "quantile", "overlap_weight"),
+    "sign": ("sign_weight", "temperature", "quantile", "overlap_weight"),
 }
 """Kinds of loss, with the settings that each one uses."""
 
@@ -32,6 +32,10 @@ class SdfLoss:
 
     Where a view leaves the surface uncertain, a symmetric loss predicts the median distance. A thin
     wall of uncertain position then vanishes: no place is inside with a probability above 1/2.
+    `overlap_weight` adds 1 − IoU of the two insides of each cloud, with soft signs (Rahman and Wang
+    2016). It asks for the whole shape: one that is likely enough stays closed although none of its
+    hidden places is inside with a probability above 1/2.
+
     `quantile` q < 0.5 weighs false-outside errors by (1 − q) / q over false-inside errors, so that
     the surface lies where the probability of being inside is q: unseen walls stay, and planning
     errs towards keeping away.
@@ -43,6 +47,7 @@ class SdfLoss:
         temperature: Distance at which a sign counts as certain, network units.
         quantile: Quantile of the distance that is predicted, and chance of being inside at the
             surface.
+        overlap_weight: Weight of the overlap.
     """
 
     kind: str = "relative"
@@ -50,13 +55,15 @@ class SdfLoss:
     sign_weight: float = 0.1
     temperature: float = 0.02
     quantile: float = 0.5
+    overlap_weight: float = 0.0
 
     def __post_init__(self) -> None:
         if self.kind not in LOSSES:
             raise InputError(f"no loss {self.kind!r}", where="loss", allowed=", ".join(LOSSES))
         require_positive(self, "near", "temperature")
-        if self.sign_weight != 0:
-            require_positive(self, "sign_weight")
+        for weight in ("sign_weight", "overlap_weight"):
+            if getattr(self, weight) != 0:
+                require_positive(self, weight)
         if not 0 < self.quantile < 1:
             raise InputError(
                 f"{self.quantile} is no quantile", where="--quantile", allowed="between 0 and 1"

@@ -24,12 +24,23 @@ def sdf_loss(settings: SdfLoss, predicted: Tensor, sdf: Tensor) -> Tensor:
     sign = torch.nn.functional.binary_cross_entropy_with_logits(
         predicted / -settings.temperature, inside.float(), torch.where(inside, below, above)
     )
+    insides = settings.sign_weight * sign
+    if settings.overlap_weight:
+        likely = torch.sigmoid(predicted.float() / -settings.temperature)
+        insides = insides + settings.overlap_weight * (1 - soft_iou(likely, inside)).mean()
     if settings.kind == "sign":
-        return settings.sign_weight * sign
+        return insides
     error = predicted - sdf
     error = torch.where(error > 0, below * error, -above * error)
     distance = (error / (sdf.abs() + settings.near)).mean()
-    return distance + settings.sign_weight * sign
+    return distance + insides
+
+
+def soft_iou(likely: Tensor, inside: Tensor) -> Tensor:
+    """[B] intersection over union of probabilities [B, Q] of being inside with the truth, whose
+    gradient says which places would gain most (Rahman and Wang 2016, eq. 3 to 5)."""
+    both = (likely * inside).sum(-1)
+    return both / (likely.sum(-1) + inside.sum(-1) - both).clamp(min=1e-6)
 
 
 def label_iou(predicted: Tensor, sdf: Tensor) -> Tensor:
