@@ -46,4 +46,4 @@ train() { # VIEWS OUT [options]
         --minutes "${MINUTES:-240}" --threads "${THREADS:-0}" --held-out 0.02 --seed "$seed" "$@" "${resume[@]}"
 }
 train "$work/exact" "$work/$model-exact"
-train "$work/scenes" "$work/$model" --start-from "$work/$model-exact" --learning-rate 0.0008 --overlap-weight 0.3
+train "$work/scenes" "$work/$model" --start-from "$work/$model-exact" --learning-rate 0.0008 --overlap-weight 0.5

@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import trimesh
 from safetensors.torch import load_file
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.sdf_sampling import BOX, SamplingConfig, sample_sdf
 from pointsdf_cli.io.atomic import temporary_beside
 from pointsdf_cli.io.checkpoints import (
     read_checkpoint,
@@ -44,7 +46,7 @@ from pointsdf_cli.training.sdf_data import (
     training_views,
 )
 from pointsdf_cli.training.sdf_loop import train_sdf
-from pointsdf_cli.training.sdf_loss import label_iou, sdf_loss, soft_iou
+from pointsdf_cli.training.sdf_loss import label_iou, label_volumes, sdf_loss, soft_iou
 from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts, read_pack
 from pointsdf_cli.training.sdf_progress import Progress, TrainResult
 from pointsdf_cli.training.sdf_run import held_out_before
@@ -184,9 +186,22 @@ def test_the_overlap_keeps_a_wall_of_uncertain_place() -> None:
         return float(levels[int(torch.stack(values).argmin())])
 
     assert best(0.0) > 0 > best(10.0)
-    inside = torch.tensor([[True, True, False]])
-    assert soft_iou(torch.tensor([[1.0, 0.5, 0.25]]), inside).item() == pytest.approx(1.5 / 2.25)
-    assert soft_iou(torch.zeros(1, 3), ~inside & inside).item() == 0.0
+    inside, likely = torch.tensor([[True, True, False]]), torch.tensor([[1.0, 0.5, 0.25]])
+    assert soft_iou(likely, inside, torch.ones(1, 3)).item() == pytest.approx(1.5 / 2.25)
+    assert soft_iou(likely, inside, torch.tensor([[1.0, 2, 4]])).item() == pytest.approx(2 / 4)
+    assert soft_iou(likely, ~inside & inside, torch.ones(1, 3)).item() == 0.0
+
+
+def test_labels_stand_for_volumes() -> None:
+    """Of a ball's labels, the volumes of those inside and in the box tell its share of the box."""
+    mesh, rng = trimesh.creation.icosphere(subdivisions=4, radius=0.5), np.random.default_rng(0)
+    samples = sample_sdf(mesh.vertices, mesh.faces, SamplingConfig(200_000), rng)
+    unit = 1.03
+    points, sdf = samples.points / unit, torch.from_numpy(samples.sdf / unit)
+    in_box = (np.abs(points) < BOX).all(axis=1)
+    volumes = label_volumes(sdf).numpy()[in_box]
+    share = volumes[samples.sdf[in_box] < 0].sum() / volumes.sum()
+    assert share == pytest.approx(4 / 3 * np.pi * (0.5 / unit) ** 3 / (2 * BOX) ** 3, rel=0.3)
 
 
 def test_label_iou_counts_insides() -> None:

@@ -327,7 +327,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, nargs="+", default=[1000, 2000, 3000],
                         help="sizes of clouds, one of them in each step")  # fmt: skip
     parser.add_argument("--learning-rate", type=float, default=1.5e-3)
-    parser.add_argument("--overlap-weight", type=float, default=0.3)
+    parser.add_argument("--overlap-weight", type=float, default=0.5)
     parser.add_argument("--capacity", type=int, default=150_000, help="views, 42 kB each")
     parser.add_argument("--objects", type=int, default=10_000)
     parser.add_argument("--first-views", type=int, default=2000, help="views to wait for")

@@ -32,9 +32,9 @@ class SdfLoss:
 
     Where a view leaves the surface uncertain, a symmetric loss predicts the median distance. A thin
     wall of uncertain position then vanishes: no place is inside with a probability above 1/2.
-    `overlap_weight` adds 1 − IoU of the two insides of each cloud, with soft signs (Rahman and Wang
-    2016). It asks for the whole shape: one that is likely enough stays closed although none of its
-    hidden places is inside with a probability above 1/2.
+    `overlap_weight` adds 1 − IoU of the two insides of each cloud, by volume and with soft signs
+    (Rahman and Wang 2016). It asks for the whole shape: a wall in one of several places is kept,
+    although each of them is inside with a probability below 1/2.
 
     `quantile` q < 0.5 weighs false-outside errors by (1 − q) / q over false-inside errors, so that
     the surface lies where the probability of being inside is q: unseen walls stay, and planning

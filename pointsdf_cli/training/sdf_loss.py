@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pointsdf_cli.geometry.sdf_sampling import (
+    BOX,
+    NEAR_VARIANCE,
+    WIDE_VARIANCE,
+    SamplingConfig,
+)
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.sdf_config import SdfLoss
 from pointsdf_cli.training.sdf_data import Split, predict, read_batch
 from pointsdf_cli.training.sdf_pack import Pack
+
+AREA = 1.5
+"""Typical surface of an object whose longest side is 1."""
 
 
 def sdf_loss(settings: SdfLoss, predicted: Tensor, sdf: Tensor) -> Tensor:
@@ -27,7 +37,8 @@ def sdf_loss(settings: SdfLoss, predicted: Tensor, sdf: Tensor) -> Tensor:
     insides = settings.sign_weight * sign
     if settings.overlap_weight:
         likely = torch.sigmoid(predicted.float() / -settings.temperature)
-        insides = insides + settings.overlap_weight * (1 - soft_iou(likely, inside)).mean()
+        overlap = soft_iou(likely, inside, label_volumes(sdf))
+        insides = insides + settings.overlap_weight * (1 - overlap).mean()
     if settings.kind == "sign":
         return insides
     error = predicted - sdf
@@ -36,11 +47,34 @@ def sdf_loss(settings: SdfLoss, predicted: Tensor, sdf: Tensor) -> Tensor:
     return distance + insides
 
 
-def soft_iou(likely: Tensor, inside: Tensor) -> Tensor:
-    """[B] intersection over union of probabilities [B, Q] of being inside with the truth, whose
-    gradient says which places would gain most (Rahman and Wang 2016, eq. 3 to 5)."""
-    both = (likely * inside).sum(-1)
-    return both / (likely.sum(-1) + inside.sum(-1) - both).clamp(min=1e-6)
+def soft_iou(likely: Tensor, inside: Tensor, volumes: Tensor) -> Tensor:
+    """Intersection over union of two insides in each cloud (Rahman and Wang 2016, eq. 3 to 5).
+
+    Args:
+        likely: [B, Q], probabilities of being inside.
+        inside: bool [B, Q], truth.
+        volumes: [B, Q], volume that each place stands for, in any unit.
+
+    Returns:
+        [B]; 0 where nothing is inside.
+    """
+    both = (volumes * likely * inside).sum(-1)
+    either = (volumes * (likely + inside - likely * inside)).sum(-1)
+    return both / either.clamp(min=1e-6)
+
+
+def label_volumes(sdf: Tensor) -> Tensor:
+    """Volume that each label stands for, network units: the inverse of the density of `sample_sdf`
+    at its distance [B, Q] from a flat surface of `AREA`."""
+    config = SamplingConfig()
+    jittered = config.wide_share * _normal_density(sdf, WIDE_VARIANCE)
+    jittered = jittered + config.near_share * _normal_density(sdf, NEAR_VARIANCE)
+    uniform = 1 - config.wide_share - config.near_share
+    return 1 / (jittered / AREA + uniform / (2 * BOX) ** 3)
+
+
+def _normal_density(x: Tensor, variance: float) -> Tensor:
+    return torch.exp(-x.square() / (2 * variance)) / math.sqrt(2 * math.pi * variance)
 
 
 def label_iou(predicted: Tensor, sdf: Tensor) -> Tensor:
