@@ -11,7 +11,7 @@ import numpy as np
 
 PACKAGES = ("numpy", "torch", "open3d", "trimesh", "manifold3d", "h5py", "libigl", "pybullet")
 NETWORKS = (
-    *("pointsdf_real", "pointsdf_ray", "pointsdf", "voxelcnn"),
+    *("pointsdf_real", "pointsdf_plan", "pointsdf_ray", "pointsdf", "voxelcnn"),
     *("grasp_geometry", "grasp_scratch", "barrett_geometry", "panda_geometry", "ur5e_geometry"),
 )
 """The bundled checkpoints."""

@@ -339,17 +339,17 @@ def test_world_points_reach_the_field_in_the_world() -> None:
 
 def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:
     bundled = default_checkpoint().parent
-    assert reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf_real") is None
+    assert reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf_plan") is None
     other = reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf")
-    assert str(other) == "bundled:pointsdf_real"
+    assert str(other) == "bundled:pointsdf_plan"
     # Each bundled robot's plans read the network that its success weights were trained on.
     learned = {
         robot: reconstruction_for(bundled_success(load_robot(robot))).name
         for robot in bundled_robots()
     }
     assert learned == {
-        "lbr4_allegro": "pointsdf_real", "lbr4_barrett": "pointsdf_real", "panda": "pointsdf_real",
-        "ur5e_2f85": "pointsdf_real",
+        "lbr4_allegro": "pointsdf_plan", "lbr4_barrett": "pointsdf_plan", "panda": "pointsdf_plan",
+        "ur5e_2f85": "pointsdf_plan",
     }  # fmt: skip
     assert reconstruction_for(None) == default_checkpoint()
     assert reconstruction_for(bundled / "grasp_scratch") == default_checkpoint()
