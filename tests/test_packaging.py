@@ -96,7 +96,8 @@ def test_the_source_distribution_holds_what_is_needed_to_build_test_and_cite(
         "constraints-min.txt", "pipelines/paper.sh", "pipelines/Snakefile", "tests/conftest.py",
         "docs/method.md", "assets/robots/lbr4_allegro.yaml",
         "assets/weights/pointsdf_ray/model.safetensors",
-        "assets/weights/pointsdf_plan/model.safetensors", "assets/weights/pointsdf_real/config.json",
+        "assets/weights/pointsdf_plan/model.safetensors",
+        "assets/weights/pointsdf_real/config.json",
     }  # fmt: skip
     assert needed <= names, needed - names
     assert not any(name.startswith((".venv", ".work", "demo/", "paper-")) for name in names)
