@@ -258,7 +258,7 @@ def one_box(folder: Path) -> argparse.Namespace:
     trimesh.creation.box((0.04, 0.06, 0.1)).export(folder / "box.ply")
     return argparse.Namespace(
         validation=0, seed=5, objects=3, meshes=folder, group=100, views=1, exact=1.0,
-        spread=0.0, dark=0.0, samplings=0, out=folder / "out",
+        spread=0.0, dark=0.0, strips=0.0, samplings=0, out=folder / "out",
     )  # fmt: skip
 
 

@@ -11,8 +11,15 @@ import pytest
 import trimesh
 
 from pointsdf_cli.camera.pinhole import CAMERAS
-from pointsdf_cli.camera.scene_views import MOST_HIDDEN, SceneViewConfig, SceneViews
+from pointsdf_cli.camera.scene_views import (
+    MOST_HIDDEN,
+    STRIP,
+    SceneViewConfig,
+    SceneViews,
+    sensor_of_view,
+)
 from pointsdf_cli.camera.seen_object import SegmentationErrors
+from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.camera.table_scene import SceneConfig, _leaning
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
@@ -174,10 +181,26 @@ def test_dark_things_lose_pixels(box: LoadedMesh) -> None:
         counts.append([len(views.draw(np.random.default_rng(k))[0].points) for k in range(12)])
     kept = np.array(counts[1]) / counts[0]
     # DARK: 5 to 50% are lost beside what other errors take.
+    # STEEP: in the other half of them, what is seen at a steep angle is lost.
     assert 0.55 < np.mean(kept) < 0.85
     assert kept.max() - kept.min() > 0.15
     with pytest.raises(InputError, match="dark"):
         SceneViewConfig(dark=1.5)
+
+
+def test_half_of_the_sensors_lose_strips_on_one_side_more_than_on_the_other() -> None:
+    preset, config = load_sensor("structured-light"), SceneViewConfig(strips=0.5)
+    sensors = [sensor_of_view(preset, config, np.random.default_rng(k)) for k in range(200)]
+    widths = np.array([(s.margin_left, s.margin_right) for s in sensors if s.margin_left > 0])
+    assert 70 < len(widths) < 130
+    assert widths.mean() == pytest.approx(STRIP, abs=0.3)
+    # Of two draws of an exponential distribution the larger one is three times the smaller one.
+    assert widths.max(axis=1).mean() > 2 * widths.min(axis=1).mean()
+    assert all(s == preset for s in sensors if s.margin_left == 0)
+    ideal = load_sensor("ideal")
+    assert sensor_of_view(ideal, SceneViewConfig(strips=1.0), np.random.default_rng(0)) == ideal
+    with pytest.raises(InputError, match="strips"):
+        SceneViewConfig(strips=-0.1)
 
 
 def test_unknown_sensors_are_refused() -> None:

@@ -136,6 +136,26 @@ def test_a_shadow_is_as_wide_as_the_disparities_differ(side: str, edge: int) -> 
     assert (observe(sensor, slanted(40)) > 0).all()
 
 
+@pytest.mark.parametrize(("side", "edge"), [("right", 200), ("left", 100)])
+def test_a_strip_beside_a_shadow_is_lost(side: str, edge: int) -> None:
+    shadow = DepthSensor("shadow", **{f"shadow_{side}": 0.075})
+    strip = replace(shadow, **{f"margin_{side}": 8.0})
+    lost = (observe(strip, step()) == 0) & (observe(shadow, step()) > 0)
+    near = slice(100, 200)  # the columns of the near strip, which throws the shadow
+    assert not lost[:, :100].any()
+    assert not lost[:, 200:].any()
+    widths = lost[:, near].sum(axis=1)
+    # The logarithm of a strip's width has σ = 0.4 and mean ln 8.
+    assert np.log(np.maximum(widths, 1)).mean() == pytest.approx(math.log(8), abs=0.15)
+    assert 0.2 < np.log(np.maximum(widths, 1)).std() < 0.6
+    outermost = lost[:, edge - 1 if side == "right" else edge]
+    assert outermost[widths > 0].all()
+    # The other side, and a strip beside no shadow, lose nothing.
+    other = "left" if side == "right" else "right"
+    same = observe(replace(shadow, **{f"margin_{other}": 8.0}), step())
+    np.testing.assert_array_equal(same, observe(shadow, step()))
+
+
 def test_edges_are_displaced_by_the_stated_deviation_and_planes_are_not() -> None:
     sensor = DepthSensor("displaced", displacement=1.5, displacement_window=4.0)
     measured = np.concatenate([observe(sensor, step(), seed) for seed in range(20)])

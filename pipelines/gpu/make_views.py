@@ -246,9 +246,10 @@ def label_arrays(mesh: LoadedMesh, rng: np.random.Generator) -> dict[str, NDArra
 def tasks(options: argparse.Namespace) -> Iterator[Task]:
     """Validation first, then rounds over all objects in new orders, without end."""
     config = SceneViewConfig(
-        SENSORS, exact=options.exact, sensor_spread=options.spread, dark=options.dark
-    )
-    preset = replace(config, sensor_spread=0.0, dark=0.0)
+        SENSORS, exact=options.exact, sensor_spread=options.spread, dark=options.dark,
+        strips=options.strips,
+    )  # fmt: skip
+    preset = replace(config, sensor_spread=0.0, dark=0.0, strips=0.0)
     held = [Source(k, VALIDATION_SEED, k) for k in range(options.validation)]
     for first in range(0, len(held), 8):
         group = tuple(held[first : first + 8])
@@ -278,7 +279,7 @@ def write_recipe(options: argparse.Namespace) -> None:
     Raises:
         InputError: Others made the views that are there.
     """
-    names = ("seed", "objects", "views", "exact", "spread", "dark", "samplings", "group")
+    names = ("seed", "objects", "views", "exact", "spread", "dark", "strips", "samplings", "group")
     scans = find_meshes(options.meshes) if options.meshes else []
     deciding = {name: getattr(options, name) for name in (*names, "validation")} | {
         "scans": len(scans),
@@ -308,6 +309,8 @@ def main() -> None:
     parser.add_argument("--exact", type=float, default=0.4, help="share of views without errors")
     parser.add_argument("--spread", type=float, default=0.5, help="spread of the sensors' errors")
     parser.add_argument("--dark", type=float, default=0.15, help="share of views of dark things")
+    parser.add_argument("--strips", type=float, default=0.5,
+                        help="share of views that lose strips beside shadows")  # fmt: skip
     parser.add_argument("--samplings", type=int, default=0,
                         help="clouds of each size and view to make here, and signed distances; "
                              "0: in learn.py, which only a GPU does quickly")  # fmt: skip

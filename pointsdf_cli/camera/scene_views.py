@@ -34,6 +34,14 @@ DARK = (0.05, 0.5)
 """Shares of a dark or shiny thing's pixels without a return; a black marker loses 40%."""
 DARK_PATCH = (5.0, 30.0)
 """Lengths over which these are correlated [px of the sensor]."""
+STEEP, STEEP_FROM = (0.5, 1.0), (0.6, 1.2)
+"""Or: shares of its pixels without a return at an incidence of 90°, and the incidence [rad] from
+which returns are lost."""
+STRIP = 1.5
+"""Mean width of the strips beside a shadow from which nothing returns [px of the sensor]. A mustard
+bottle before a far table loses one of 6 px on one side and none on the other."""
+STRIP_EDGES = 0.3
+"""With such strips edges lose this share of the returns that they lose without."""
 NO_ERRORS = SegmentationErrors(
     masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0, cut=0.0, holed=0.0
 )
@@ -53,6 +61,7 @@ class SceneViewConfig:
             turned at random.
         sensor_spread: Spread of the errors of each view's sensor (`DepthSensor.varied`).
         dark: Share of the other views whose surfaces return little, as dark or shiny ones do.
+        strips: Share of the other views in which nothing returns from strips beside shadows.
 
     Raises:
         InputError: No sensor, or one that does not exist.
@@ -65,9 +74,10 @@ class SceneViewConfig:
     exact_resting: float = 0.6
     sensor_spread: float = 0.0
     dark: float = 0.0
+    strips: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("exact", "dark"):
+        for name in ("exact", "dark", "strips"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(
                     f"{getattr(self, name)} is no share", where=f"--{name}", allowed="0 to 1"
@@ -130,7 +140,7 @@ class SceneViews:
             if _hidden(scene) > MOST_HIDDEN:
                 continue
             drawn = self._sensors[rng.integers(len(self._sensors))]
-            sensor = load_sensor("ideal") if exact else self._varied(drawn, rng)
+            sensor = load_sensor("ideal") if exact else sensor_of_view(drawn, config, rng)
             window = scene.window
             measured = sensor.observe(window.depth, camera, rng, window.origin, window.cosine)
             seen = segment_scene(scene, measured, camera, errors, rng)
@@ -146,13 +156,25 @@ class SceneViews:
         what = f"{DRAWS} scenes showed fewer than {FEWEST_POINTS} points of it"
         raise InputError(what, hint="check its size and unit, or choose another --camera")
 
-    def _varied(self, sensor: DepthSensor, rng: np.random.Generator) -> DepthSensor:
-        """A sensor with this view's errors."""
-        varied = sensor.varied(self._config.sensor_spread, rng)
-        if varied.is_ideal or not self._config.dark or rng.random() >= self._config.dark:
-            return varied
-        share, window = rng.uniform(*DARK), rng.uniform(*DARK_PATCH)
-        return replace(varied, missing_patches=share, patch_window=window)
+
+def sensor_of_view(
+    sensor: DepthSensor, config: SceneViewConfig, rng: np.random.Generator
+) -> DepthSensor:
+    """The sensor with one view's errors; an ideal one has none."""
+    varied = sensor.varied(config.sensor_spread, rng)
+    if varied.is_ideal:
+        return varied
+    if config.strips and rng.random() < config.strips:
+        left, right = rng.exponential(STRIP, 2)
+        at_edge = STRIP_EDGES * varied.missing_at_edge
+        varied = replace(varied, margin_left=left, margin_right=right, missing_at_edge=at_edge)
+    if not config.dark or rng.random() >= config.dark:
+        return varied
+    if rng.random() < 0.5:
+        steep, angle = rng.uniform(*STEEP), rng.uniform(*STEEP_FROM)
+        return replace(varied, missing_grazing=steep, missing_angle=angle)
+    share, window = rng.uniform(*DARK), rng.uniform(*DARK_PATCH)
+    return replace(varied, missing_patches=share, patch_window=window)
 
 
 def _hidden(scene: RenderedScene) -> float:

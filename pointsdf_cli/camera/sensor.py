@@ -24,6 +24,8 @@ _VARIED = (
     *("disparity_noise", "noise_window", "bias", "bias_window"),
 )
 """Errors that `varied` scales; geometry stays."""
+_UNEVEN, _UNEVEN_WINDOW = 0.4, 4.0
+"""σ of the logarithm of a strip's width, and the length over which it is correlated [px]."""
 
 
 def _parameter(default: float, low: float, high: float) -> Any:
@@ -47,6 +49,8 @@ class DepthSensor:
         shadow_left, shadow_right: Baselines [m] of the shadows to the left and right of an object:
             distance of the projector or an imager to the right (shadow on the left) or to the left
             (shadow on the right) of the camera to which the depth image is registered.
+        margin_left, margin_right: Width of the strip of the object beside such a shadow from which
+            nothing returns [px]: the window in which patterns are matched reaches into the shadow.
         displacement: σ of the lateral displacement of edges [px].
         displacement_window: Length over which the displacement is correlated [px].
         registration: σ of the low-frequency displacement of whole objects [px].
@@ -80,6 +84,8 @@ class DepthSensor:
     baseline: float = _parameter(0.0, 0.0, 0.5)
     shadow_left: float = _parameter(0.0, 0.0, 0.5)
     shadow_right: float = _parameter(0.0, 0.0, 0.5)
+    margin_left: float = _parameter(0.0, 0.0, 50.0)
+    margin_right: float = _parameter(0.0, 0.0, 50.0)
     displacement: float = _parameter(0.0, 0.0, 10.0)
     displacement_window: float = _parameter(3.0, 0.5, 50.0)
     registration: float = _parameter(0.0, 0.0, 10.0)
@@ -206,9 +212,7 @@ class DepthSensor:
         """Measured depths [m] of inverse depths [1/m]; the arguments of `observe`."""
         scale, jump = camera.fx / self.focal, self.edge_slope / camera.fx
         lit = inverse > 0
-        for width, side in ((self.shadow_left, "left"), (self.shadow_right, "right")):
-            if width:
-                lit &= ~effects.shadow(inverse, width * camera.fx, side)
+        lit &= ~self._shadows(inverse, camera.fx, rng)
         if self.fattening:
             inverse = effects.grown(inverse, self.fattening * scale, jump)
         slopes = effects.gradient(inverse)
@@ -231,6 +235,24 @@ class DepthSensor:
         if self.flying:
             inverse = effects.flying_pixels(inverse, edges, self.flying, rng)
         return self._depths(inverse, incidence, seen, scale, rng)
+
+    def _shadows(self, inverse: Image, focal: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Shadows on both sides, and the strips beside them, for a focal length [px]."""
+        scale = focal / self.focal
+        found = np.zeros(inverse.shape, dtype=bool)
+        for baseline, margin, side in (
+            (self.shadow_left, self.margin_left, "left"),
+            (self.shadow_right, self.margin_right, "right"),
+        ):
+            if not baseline:
+                continue
+            shadow = effects.shadow(inverse, baseline * focal, side)
+            if margin:
+                wave = effects.smooth_noise(inverse.shape, _UNEVEN_WINDOW * scale, rng)
+                uneven = np.exp(np.float32(_UNEVEN) * wave)
+                shadow = effects.widened(shadow, np.float32(margin * scale) * uneven, side)
+            found |= shadow
+        return found
 
     def _missing(
         self,

@@ -241,6 +241,22 @@ def shadow(inverse: Image, factor: float, side: str) -> Mask:
     return hidden[:, ::step] & there
 
 
+def widened(shadow: Mask, margin: Image, side: str) -> Mask:
+    """A shadow that reaches farther along the rows, over the object that casts it.
+
+    Args:
+        shadow: bool [h, w].
+        margin: By how much [h, w], px.
+        side: As in `shadow`.
+    """
+    step = -1 if side == "right" else 1
+    columns = np.arange(shadow.shape[1], dtype=np.float32)
+    last = np.where(shadow[:, ::step], columns, np.float32(-np.inf))
+    away = columns - np.maximum.accumulate(last, axis=1)
+    found: Mask = away[:, ::step] <= margin
+    return found
+
+
 def depth_edges(inverse: Image, relative: float) -> Mask:
     """Pixels beside a neighbour whose depth differs by more than `relative` of it."""
     found = np.zeros(inverse.shape, dtype=bool)
