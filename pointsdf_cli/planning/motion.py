@@ -29,9 +29,6 @@ from pointsdf_cli.robot.lift import lift_path
 ABOVE = (0.1, 0.2, 0.3)
 """Heights [m] of a place above the beginning of the approach, tried in turn. A way over such a
 place is nearly always free, and found in a third of a search's time (docs/notebook.md)."""
-FAR = 0.03
-"""The way to where the approach begins keeps so far off the object [m], or as far as its ends are.
-Where nothing was seen the object may reach farther than it is believed to (docs/notebook.md)."""
 LONGEST_EDGE = 0.8
 """Longest edge of the tree [rad]: longer ones are seldom free."""
 SHORTCUTS = 30
@@ -104,10 +101,7 @@ def plan_motion(
     shaped[robot.arm] = start[robot.arm]
     if not checker.is_free(np.stack([start, shaped])):
         return _failed("the hand cannot take its preshape where the robot starts", 0)
-    far = checker.as_far_as(np.stack([shaped, back[-1]]), FAR)
-    simple = _simple_path(far, kinematics.chain, shaped, back[-1])
-    if simple is None:
-        simple = _simple_path(checker, kinematics.chain, shaped, back[-1])
+    simple = _simple_path(checker, kinematics.chain, shaped, back[-1])
     for attempt in range(config.attempts):
         stop_if_cancelled()
         middle = simple

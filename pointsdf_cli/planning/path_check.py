@@ -86,14 +86,6 @@ class PathChecker:
         other._margin[: self._object_columns] = clearance
         return other
 
-    def as_far_as(self, ends: Array, most: float) -> PathChecker:
-        """A copy with the clearance to the object that configurations [B, J] have, at most `most`
-        [m], and at least this one's."""
-        columns = np.arange(self._object_columns)
-        own = float(self._margin[0])
-        kept = float(self._slacks(ends, columns).min()) + own - RESOLUTION
-        return self.with_clearance(max(own, min(most, kept)))
-
     def without_object(self) -> PathChecker:
         """A copy without the object: for motions in which the hand carries it."""
         other = copy(self)
