@@ -194,11 +194,11 @@ class Page:
         for row, (name, pictures, text) in zip(axes, self.rows, strict=True):
             for cell, picture in zip(row, pictures, strict=True):
                 cell.axis("off")
+                cell.set_anchor("N")  # the text goes below
                 if picture is not None:
                     cell.imshow(np.asarray(Image.open(picture).convert("RGB")))
-            row[0].text(
-                0, -0.02, f"{name}\n{text}", transform=row[0].transAxes, va="top", fontsize=11
-            )
+            place = row[0].get_subplotspec().get_position(figure)
+            figure.text(place.x0, place.y0, f"{name}\n{text}", va="bottom", fontsize=11)
         figure.savefig(out, dpi=70)
 
 
