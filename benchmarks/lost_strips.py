@@ -25,7 +25,7 @@ from pointsdf_cli.geometry.arrays import Mask
 
 DISTANCES = (0, 2, 4, 8, 12, 16)
 """Distances from the silhouette along the row [px] that bound the bins."""
-RIGHT = 0.01
+ACCURATE = 0.01
 """Largest error [m] of a depth that counts as the surface's."""
 SPECKS = 7
 """Side [px] of the median filter that fills the rest of the scene."""
@@ -64,7 +64,7 @@ def losses(one: Registered, seed: int) -> list[tuple[str, str, list[float]]]:
     simulated = load_sensor("structured-light").observe(scene, camera, rng)
     found = []
     for name, image in (("measured", depth), ("simulated", simulated)):
-        lost = np.abs(image - hit.depth) > RIGHT
+        lost = np.abs(image - hit.depth) > ACCURATE
         for side in ("left", "right"):
             away = _from_side(shown, side)
             found.append((name, side, [_share(lost, shown, away, *b) for b in pairwise(DISTANCES)]))
