@@ -25,7 +25,6 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
-from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.visibility import PLANE_BAND
@@ -33,8 +32,6 @@ from pointsdf_cli.models.registry import load_model
 
 SPLITS = (2.0, 5.0, 10.0, 20.0)
 """Widths σ [px] that part slow errors from fast ones."""
-SPECKS = 7
-"""Side [px] of the median filter that fills the rest of a simulated scene."""
 LARGEST = 0.02
 """Pixels with larger errors [m] show something else."""
 SAMPLINGS, SIMULATED = 2, 4
@@ -104,12 +101,9 @@ def variants(one: Registered) -> Iterator[tuple[str, Case]]:
             yield f"errors {name} than {width_px:.0f} px", case(changed, kept, mask)
     full = label & (exact > 0)
     yield "exact depth in pixels without", masked(np.where(full & (depth <= 0), exact, depth))
-    scene = np.where(full, exact, ndimage.median_filter(depth, SPECKS)).astype(np.float32)
     for seed in range(SIMULATED):
-        simulated = load_sensor("structured-light").observe(
-            scene, camera, np.random.default_rng(seed)
-        )
-        yield f"simulated, seed {seed}", masked(simulated.astype(np.float64))
+        simulated = one.simulated(np.where(full, exact, 0.0), seed)
+        yield f"simulated, seed {seed}", masked(simulated)
     yield "exact depth in the label's pixels", case(np.where(full, exact, depth), full, full)
 
 

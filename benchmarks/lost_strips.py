@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from registered import Registered, registered_objects
-from scipy import ndimage
 
 from pointsdf_cli.camera.raycast import MeshCaster
-from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.errors import InputError, leave_with_message
 from pointsdf_cli.geometry.arrays import Mask
 
@@ -27,8 +25,6 @@ DISTANCES = (0, 2, 4, 8, 12, 16)
 """Distances from the silhouette along the row [px] that bound the bins."""
 ACCURATE = 0.01
 """Largest error [m] of a depth that counts as the surface's."""
-SPECKS = 7
-"""Side [px] of the median filter that fills the rest of the scene."""
 
 
 @leave_with_message()
@@ -39,11 +35,12 @@ def main() -> None:
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    bins = "".join(f"{f'{a}–{b}':>7}" for a, b in pairwise(DISTANCES))
-    print(f"{'px from the silhouette':48}{bins}")
-    objects = [one for one in registered_objects(options.captures, options.meshes) if one.label]
+    every = registered_objects(options.captures, options.meshes)
+    objects = [one for one in every if one.label is not None]
     if not objects:
         raise InputError("holds no capture with label.png", where=options.captures)
+    bins = "".join(f"{f'{a}–{b}':>7}" for a, b in pairwise(DISTANCES))
+    print(f"{'px from the silhouette':48}{bins}")
     for one in objects:
         for name, side, shares in losses(one, options.seed):
             print(f"{one.name:32}{name:10}{side:6}" + "".join(f"{s:7.2f}" for s in shares))
@@ -58,10 +55,7 @@ def losses(one: Registered, seed: int) -> list[tuple[str, str, list[float]]]:
     )
     label = np.asarray(Image.open(one.folder / "label.png")) == one.label
     shown = label & np.isfinite(hit.depth)
-    rest = ndimage.median_filter(depth, SPECKS)
-    scene = np.where(shown, hit.depth, rest).astype(np.float32)
-    rng = np.random.default_rng(seed)
-    simulated = load_sensor("structured-light").observe(scene, camera, rng)
+    simulated = one.simulated(np.where(shown, hit.depth, 0.0), seed)
     found = []
     for name, image in (("measured", depth), ("simulated", simulated)):
         lost = np.abs(image - hit.depth) > ACCURATE

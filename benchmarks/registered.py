@@ -9,12 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
+from scipy import ndimage
 
 from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
+
+SPECKS = 7
+"""Side [px] of the median filter that fills the rest of a simulated scene."""
 
 
 class Registered(NamedTuple):
@@ -40,6 +45,19 @@ class Registered(NamedTuple):
         K = np.array(json.loads((self.folder / "K.json").read_text()))
         height, width = depth.shape
         return Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2]), depth
+
+    def simulated(self, exact: Array, seed: int) -> Array:
+        """Depths [height, width] that `structured-light` would measure of the scene, m.
+
+        Args:
+            exact: [height, width], the object's exact depths, m; 0 where it is not seen.
+            seed: Random seed of the errors.
+        """
+        camera, depth = self.view()
+        scene = np.where(exact > 0, exact, ndimage.median_filter(depth, SPECKS))
+        rng = np.random.default_rng(seed)
+        measured = load_sensor("structured-light").observe(scene.astype(np.float32), camera, rng)
+        return measured.astype(np.float64)
 
 
 def registered_objects(captures: Path, meshes: Path) -> Iterator[Registered]:

@@ -35,13 +35,13 @@ DARK = (0.05, 0.5)
 DARK_PATCH = (5.0, 30.0)
 """Lengths over which these are correlated [px of the sensor]."""
 STEEP, STEEP_FROM = (0.5, 1.0), (0.6, 1.2)
-"""Or: shares of its pixels without a return at an incidence of 90°, and the incidence [rad] from
-which returns are lost."""
+"""Half of the dark or shiny things lose what is seen steeply instead: share of pixels without a
+return at an incidence of 90°, and the incidence [rad] from which returns are lost."""
 STRIP = 1.5
 """Mean width of the strips beside a shadow from which nothing returns [px of the sensor]. A mustard
 bottle before a far table loses one of 6 px on one side and none on the other."""
 STRIP_EDGES = 0.3
-"""With such strips edges lose this share of the returns that they lose without."""
+"""Factor of `missing_at_edge` in views with such strips: they lose edges already."""
 NO_ERRORS = SegmentationErrors(
     masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0, cut=0.0, holed=0.0
 )
