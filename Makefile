@@ -1,5 +1,5 @@
 # Two commands: `make demo` and `make test`. Both set up what is missing.
-.PHONY: demo test pages docs lint bench smoke setup browser clean
+.PHONY: demo test pages docs lint bench smoke setup setup-user browser clean
 
 SHELL := /bin/bash
 RUN := .venv/bin
@@ -7,7 +7,11 @@ RUN := .venv/bin
 setup:
 	@bash pipelines/setup.sh
 
-demo: setup
+# Without the tools of tests, lint and docs: half the time.
+setup-user:
+	@bash pipelines/setup.sh user
+
+demo: setup-user
 	@PATH="$(CURDIR)/$(RUN):$$PATH" bash pipelines/demo.sh demo
 
 # One numerical thread a test process: two processes of two threads each would fight for two cores.

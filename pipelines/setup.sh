@@ -1,12 +1,23 @@
 #!/usr/bin/env bash
 # Everything between a fresh clone and a working `rgrasp`: system libraries, a virtual environment
 # in .venv, the package with its pinned dependencies. Runs again only where something changed.
+#   pipelines/setup.sh [user|developer]    developer (default): also what tests, lint and docs need
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-stamp=.venv/.set-up
-wanted=$(cat pyproject.toml constraints.txt pipelines/setup.sh | sha256sum | cut -d' ' -f1)
-[ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && exit 0
+case ${1:-developer} in
+user) extras=sim,view,serve ;;
+developer) extras=sim,view,serve,dev,docs ;;
+*)
+    echo "usage: pipelines/setup.sh [user|developer]" >&2
+    exit 2
+    ;;
+esac
+stamp=.venv/.set-up # the extras that are installed, and of which state of these files
+state=$(cat pyproject.toml constraints.txt pipelines/setup.sh | sha256sum | cut -d' ' -f1)
+done=$(cat "$stamp" 2>/dev/null || true)
+[ "$done" = "$state $extras" ] && exit 0
+[ "$done" = "$state sim,view,serve,dev,docs" ] && exit 0
 
 # --- System libraries: Open3D links against them and says only that it cannot be imported. -------
 missing=()
@@ -48,7 +59,9 @@ esac
 # A venv that was interrupted has no pip yet.
 .venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear .venv
 echo "setup: installing rgrasp and its dependencies into .venv (a few minutes the first time)" >&2
+# Without --no-compile pip compiles all modules, of which most are never imported: a third of the time.
+install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt "$@"; }
 # torch first and alone: with it in place no other package asks for another build of it.
-.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[sim,view,serve,dev,docs]'
-echo "$wanted" > "$stamp"
+install torch
+install -e ".[$extras]"
+echo "$state $extras" >"$stamp"

@@ -38,7 +38,7 @@ from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.box_frame import box_around
 from pointsdf_cli.models.neighbours import SEARCHES
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
-from pointsdf_cli.models.processor import keep_large_allocations
+from pointsdf_cli.models.processor import fast_products, keep_large_allocations
 from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.models.revolution import places
 from pointsdf_cli.training.ema import WeightAverage
@@ -87,6 +87,7 @@ class Training:
     ) -> None:
         self.model = model.to(device).train()
         self.views, self.config, self.device = views, config, device
+        self._products = fast_products(device)
         on_gpu = device.type == "cuda"
         rate: Any = (
             torch.tensor(config.learning_rate, device=device) if on_gpu else config.learning_rate
@@ -100,11 +101,15 @@ class Training:
         self.steps = 0
         self._graphs = {size: self._recorded(size) for size in views.sizes} if on_gpu else {}
 
+    def _fast_products(self) -> torch.autocast:
+        """Context of products in bfloat16 where the device is faster with it."""
+        return torch.autocast(self.device.type, self._products, enabled=self._products is not None)
+
     def _operations(self, size: int) -> None:
         """One step but for the learning rate, with clouds of a size."""
         drawn = self.views.draw(self.config.batch_size, size)
         batch, symmetry = self.views.batch(drawn, self.config.queries, size=size)
-        with torch.autocast(self.device.type, torch.bfloat16):
+        with self._fast_products():
             predicted = self.model.predict(batch, symmetry)
         loss = sdf_loss(self.config.loss, predicted, batch.sdf)
         loss.backward()
@@ -161,7 +166,7 @@ class Training:
                 batch, symmetry = held_out.batch(
                     views, VALIDATION_QUERIES, augment=False, evidence=evidence, size=size
                 )
-                with torch.autocast(self.device.type, torch.bfloat16):
+                with self._fast_products():
                     predicted = self.average.model.predict(batch, symmetry)
                 losses += [sdf_loss(self.config.loss, predicted, batch.sdf)] * len(views)
                 overlaps.append(label_iou(predicted, batch.sdf))
