@@ -15,6 +15,7 @@ import torch
 import trimesh
 from conftest import run_cli
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.geometry.frames import (
     apply_transform,
     invert_transform,
@@ -164,6 +165,14 @@ def test_normals_colours_and_many_points_do_not_disturb(full: Path, tmp_path: Pa
     box = box_about(POINTS)
     assert np.array(told["extent"]) == pytest.approx(box[1] - box[0], rel=0.05)
     assert told["queries"] > 0
+    assert not told["vessel"]
+
+
+def test_a_fitted_wall_is_named(tmp_path: Path) -> None:
+    cloud, weights = asset_path("clouds/mug.ply"), asset_path("weights/pointsdf_real")
+    code, out, err = mesh(cloud, weights, "--out", tmp_path / "mug.ply", quiet=False)
+    assert code == 0, err
+    assert "; the thin wall of a vessel is fitted" in out + err
 
 
 def test_nothing_inside_is_one_message_and_no_file(empty: Path, tmp_path: Path) -> None:

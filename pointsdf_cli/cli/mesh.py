@@ -223,6 +223,7 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
         "resolution": settings.choices.resolution,
         "parts_dropped": made.parts_dropped,
         "queries": made.queries,
+        "vessel": completed.reconstruction.vessel is not None,
         "seconds": completed.seconds,
         "warnings": completed.warnings,
     }
@@ -235,7 +236,8 @@ def _lines(made: dict[str, Any]) -> list[str]:
     return [
         f"{made['out']}: {made['vertices']} vertices, {made['faces']} faces, {sides} "
         f"{made['unit']}, in the {made['frame']} frame",
-        f"{made['queries']} queries, {made['seconds']:.2f} s at {made['resolution']}³"
+        f"made in {made['seconds']:.2f} s at {made['resolution']}³"
+        + ("; the thin wall of a vessel is fitted" if made["vessel"] else "")
         + (f"; {dropped} loose part{'s' * (dropped > 1)} dropped" if dropped else ""),
     ]
 
