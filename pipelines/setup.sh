@@ -15,9 +15,9 @@ developer) extras=sim,view,serve,dev,docs ;;
 esac
 stamp=.venv/.set-up # the extras that are installed, and of which state of these files
 state=$(cat pyproject.toml constraints.txt pipelines/setup.sh | sha256sum | cut -d' ' -f1)
-done=$(cat "$stamp" 2>/dev/null || true)
-[ "$done" = "$state $extras" ] && exit 0
-[ "$done" = "$state sim,view,serve,dev,docs" ] && exit 0
+installed=$(cat "$stamp" 2>/dev/null || true)
+[ "$installed" = "$state $extras" ] && exit 0
+[ "$installed" = "$state sim,view,serve,dev,docs" ] && exit 0
 
 # --- System libraries: Open3D links against them and says only that it cannot be imported. -------
 missing=()
@@ -59,9 +59,12 @@ esac
 # A venv that was interrupted has no pip yet.
 .venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear .venv
 echo "setup: installing rgrasp and its dependencies into .venv (a few minutes the first time)" >&2
-# Without --no-compile pip compiles all modules, of which most are never imported: a third of the time.
 install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt "$@"; }
 # torch first and alone: with it in place no other package asks for another build of it.
 install torch
 install -e ".[$extras]"
+# pip would compile one module after another. Where PYTHONDONTWRITEBYTECODE is set, as in many
+# containers, modules that are not compiled now would be compiled again by every command.
+packages=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+.venv/bin/python -m compileall -q -j 0 -x '/tests?/' "$packages" pointsdf_cli >/dev/null || true # templates fail
 echo "$state $extras" >"$stamp"

@@ -207,15 +207,15 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "shard of words": (render_with("--shard", "first"), "--shard"),
     "unknown option": (render_with("--vews", 3), "No such option"),
     "unknown command": (command("rendr"), "No such command"),
-    "unknown camera": (render_with("--camera", "kinect9"), "no camera"),
-    "missing camera file": (render_with("--camera", "none.json"), "no camera"),
+    "unknown camera": (render_with("--camera", "kinect9"), "no such intrinsics"),
+    "missing camera file": (render_with("--camera", "none.json"), "no such intrinsics"),
     # --- camera files -----------------------------------------------------------------------
     "a camera file that is no JSON": (camera_with("{"), "is not readable JSON"),
-    "a camera file without K": (camera_with({"width": 1, "height": 1}), "is not a camera file"),
+    "a camera file without K": (camera_with({"width": 1, "height": 1}), "has no intrinsics"),
     "K of eight numbers": (
-        camera_with({"K": [1] * 8, "width": 640, "height": 480}), "is not a camera file"),
+        camera_with({"K": [1] * 8, "width": 640, "height": 480}), "has no intrinsics"),
     "K with NaN": (
-        camera_with('{"K": [[NaN,0,1],[0,1,1],[0,0,1]], "width": 640, "height": 480}'), "K holds"),
+        camera_with('{"K": [[NaN,0,1],[0,1,1],[0,0,1]], "width": 640, "height": 480}'), "NaN"),
     "K with a focal length of 0": (
         camera_with({"K": [[0, 0, 1], [0, 1, 1], [0, 0, 1]], "width": 640, "height": 480}),
         "K holds",
@@ -226,7 +226,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "an image of negative height": (
         camera_with({"K": K, "width": 640, "height": -1}), "height is -1"),
     "an image width in words": (
-        camera_with({"K": K, "width": "wide", "height": 480}), "is not a camera file"),
+        camera_with({"K": K, "width": "wide", "height": 480}), "width or height of 'wide'"),
     # --- places to write --------------------------------------------------------------------
     "out is a file": (
         setup_then(read_only, "render", "--meshes", "@m", "--out", "@file"), "is a file"),

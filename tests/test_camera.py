@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.camera.noise import DepthNoise
-from pointsdf_cli.camera.pinhole import CAMERAS, Camera, load_camera
+from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.camera.views import ViewConfig, render_views, sample_cloud
 from pointsdf_cli.errors import InputError
@@ -145,7 +146,7 @@ def test_a_camera_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "K.json"
     K = [[600, 0, 320], [0, 610, 240], [0, 0, 1]]
     path.write_text(json.dumps({"width": 640, "height": 480, "K": K}))
-    np.testing.assert_array_equal(load_camera(str(path)).K, K)
+    np.testing.assert_array_equal(read_intrinsics(str(path)).K, K)
 
 
 def test_rays_of_a_mask_are_the_tangents_of_its_pixels() -> None:

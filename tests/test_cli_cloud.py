@@ -132,7 +132,7 @@ WRONG: dict[str, tuple[Any, str]] = {
     "text.json": ("hello", "no 3×3 matrix"),
     "flat.json": ({"fx": "wide", "fy": 1, "cx": 1, "cy": 1}, "not numbers"),
     "negative.json": ([[-FX, 0, CX], [0, FY, CY], [0, 0, 1]], "focal"),
-    "nan.json": ([[float("nan"), 0, CX], [0, FY, CY], [0, 0, 1]], "skew or is not"),
+    "nan.json": ([[float("nan"), 0, CX], [0, FY, CY], [0, 0, 1]], "holds NaN"),
     "half.json": ({"K": K, "width": 8.5, "height": 6}, "8.5"),
     "named.json": ({"fx": FX, "fy": FY, "cx": CX, "cy": CY, "k1": 0.5}, "camera distortion"),
     "kalibr.json": ({"K": K, "distortion_coeffs": [0.3, 0, 0, 0]}, "camera distortion"),

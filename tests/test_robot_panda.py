@@ -70,7 +70,7 @@ def test_a_palm_frame_between_the_fingertips_is_the_same(
     folder: Path, panda: RobotDescription
 ) -> None:
     text = YAML.replace(
-        "link: panda_hand, xyz: [0, 0, 0.05]", "link: panda_grasptarget, xyz: [0, 0, -0.055]"
+        "link: panda_hand, xyz: [0, 0, 0.067]", "link: panda_grasptarget, xyz: [0, 0, -0.038]"
     )
     assert text != YAML
     (folder / "leaf.yaml").write_text(text, encoding="utf-8")

@@ -80,17 +80,24 @@ def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -
     )
 
 
+FACTORS = (0.1, 0.2, 0.25, 10.0, 0.001, 1000.0)
+"""Units of depth images beside 1 mm and 1 m, in these: 0.1 mm (RealSense), 1/5000 m (TUM), 0.25 mm
+(ToF), 1 cm; and millimetres taken for metres, or the reverse."""
+
+
 def _scale_hint(seen: NDArray[np.float64], nearest: float, farthest: float) -> str:
     """Hint about --depth-scale for measured depths [N] out of range, m."""
-    for factor in (0.1, 0.25, 10.0, 0.001, 1000.0):
-        low, high = factor * seen.min(), factor * seen.max()
-        if nearest <= low and high <= farthest:
-            return (
-                f"multiply --depth-scale by {factor:g} (without the option: --depth-scale "
-                f"{0.001 * factor:g} for whole numbers, {factor:g} for floats); the depths are "
-                f"then {low:.2g} to {high:.2g} m"
-            )
-    return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
+    ranges = {factor: (factor * seen.min(), factor * seen.max()) for factor in FACTORS}
+    fits = {f: r for f, r in ranges.items() if nearest <= r[0] and r[1] <= farthest}
+    if not fits:
+        return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
+    named = " or ".join(f"{f:g} ({low:.2g} to {high:.2g} m)" for f, (low, high) in fits.items())
+    first = next(iter(fits))
+    return (
+        f"multiply --depth-scale by {named}; without the option, {first:g} is --depth-scale "
+        f"{0.001 * first:g} for whole numbers, {first:g} for floats"
+        + ("; a scene truly that far: rgrasp cloud --far" if seen.min() > farthest else "")
+    )
 
 
 def _off_centre(camera: Camera) -> tuple[str, ...]:

@@ -13,12 +13,13 @@ import numpy as np
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.untrusted import read_json, read_yaml
+from pointsdf_cli.io.untrusted import read_json, read_npy_array, read_yaml
 
 FORMS = (
-    "a 3×3 matrix K; {K: …, width, height}; ROS camera_info (k or K, d or D, width, height; also "
-    "the calibration file with camera_matrix); RealSense (fx, fy, ppx, ppy, coeffs, width, "
-    "height); Open3D (intrinsic_matrix by columns); or the name of a camera: " + ", ".join(CAMERAS)
+    "a 3×3 matrix K (JSON, YAML, text, NPY); {K: …, width, height}; ROS camera_info (k or K, d or "
+    "D, width, height; also the calibration file with camera_matrix); RealSense (fx, fy, ppx, ppy, "
+    "coeffs, width, height); Open3D (intrinsic_matrix by columns); or the name of a camera: "
+    + ", ".join(CAMERAS)
 )
 _FOCAL = {"fx": ("fx",), "fy": ("fy",), "cx": ("cx", "ppx"), "cy": ("cy", "ppy")}
 _MATRIX = ("K", "k", "camera_matrix", "intrinsic_matrix", "intrinsics", "matrix")
@@ -33,6 +34,8 @@ _STRAIGHT = re.compile(r"none|pinhole|plumb|rational|brown|rad|opencv|perspectiv
 """Distortion models that are a pinhole where all of their coefficients are 0."""
 _OPENCV_MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "radtan", "opencv")
 SMALLEST_DISTORTION = 1e-6
+SHORTEST = 3.0
+"""Focal lengths below this [pixels] are not in pixels."""
 LENSES = (
     "OpenCV's k1, k2, p1, p2, then none, k3, or k3, k4, k5, k6 (models "
     + ", ".join(_OPENCV_MODELS)
@@ -99,7 +102,14 @@ def _read(
     fx, fy, cx, cy = _numbers(data, path)
     if not np.isfinite([fx, fy, cx, cy]).all():
         raise InputError("fx, fy and the principal point are not finite", where=path, allowed=FORMS)
-    width, height = width or max(1, round(2 * cx)), height or max(1, round(2 * cy))
+    if 0 < min(fx, fy) < SHORTEST:
+        raise InputError(
+            f"has focal lengths of {fx:g} and {fy:g}: these look like shares of the image's size",
+            where=path,
+            allowed="focal lengths and principal point in pixels",
+        )
+    width = max(1, round(2 * cx)) if width is None else width
+    height = max(1, round(2 * cy)) if height is None else height
     with as_input_error(path):
         camera = Camera(width, height, fx, fy, cx, cy)
     if not (0 <= cx < width and 0 <= cy < height):
@@ -118,10 +128,14 @@ def _load(name: str) -> Mapping[str, Any]:
         raise InputError("no such intrinsics", where=name[:200], allowed=FORMS)
     if path.suffix.lower() == ".json":
         data = read_json(path)
+    elif path.suffix.lower() == ".npy":
+        data = read_npy_array(path)
     else:
         # `ros2 topic echo` ends each message by `---`, and YAML begins another document there.
         data = read_yaml(path, first_document=True)
     if not isinstance(data, Mapping):
+        if isinstance(data, str):  # rows of numbers, as np.savetxt writes them
+            data = data.replace(",", " ").split()
         if _entries(data) is None:
             raise InputError("holds no 3×3 matrix", where=path, allowed=FORMS)
         return {"K": data}
@@ -172,7 +186,9 @@ def _of_matrix(matrix: Array, by_columns: bool, path: Path) -> tuple[float, floa
         matrix = matrix.T
     rest = matrix.copy()
     rest[[0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] -= [*matrix[[0, 1, 0, 1], [0, 1, 2, 2]], 1.0]
-    if not np.isfinite(matrix).all() or np.abs(rest).max() > 1e-9:
+    if not np.isfinite(matrix).all():
+        raise InputError("holds NaN or infinity", where=path, allowed=FORMS)
+    if np.abs(rest).max() > 1e-9:
         raise InputError(
             "has skew or is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", where=path, allowed=FORMS
         )

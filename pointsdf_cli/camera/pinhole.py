@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pointsdf_cli.errors import InputError, as_input_error
-from pointsdf_cli.io.untrusted import read_json
+from pointsdf_cli.errors import InputError
 
 LARGEST_IMAGE = 8192
 
@@ -96,34 +93,3 @@ CAMERAS = {
     "xtion": Camera(640, 480, 575.0, 575.0, 319.5, 239.5),
     "realsense": Camera(640, 480, 617.0, 617.0, 319.5, 239.5),
 }
-
-
-def load_camera(name: str) -> Camera:
-    """Camera by name, or from a JSON file `{"width": …, "height": …, "K": [[…], […], […]]}`.
-
-    Raises:
-        InputError: It is neither a known name nor such a file.
-    """
-    if name in CAMERAS:
-        return CAMERAS[name]
-    path = Path(name)
-    form = f'{", ".join(CAMERAS)}, or a file {{"width": 640, "height": 480, "K": [[fx, 0, cx], …]}}'
-    if path.suffix.lower() != ".json" or not os.path.isfile(name):
-        raise InputError(f"no camera {name[:200]!r}", where="--camera", allowed=form)
-    try:
-        data = read_json(path)
-        matrix = np.asarray(data["K"], dtype=np.float64)
-        width, height = data["width"], data["height"]
-        if matrix.size != 9 or not isinstance(width, int) or not isinstance(height, int):
-            raise ValueError("K must have 9 entries, width and height must be whole numbers")
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        raise InputError(
-            f"is not a camera file ({type(error).__name__}: {error})", where=path, allowed=form
-        ) from error
-    matrix = matrix.reshape(3, 3)
-    if matrix[0, 1] != 0 or np.abs(matrix[[1, 2, 2], [0, 0, 1]]).max() != 0 or matrix[2, 2] != 1:
-        raise InputError(
-            "K has skew or is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", where=path, allowed=form
-        )
-    with as_input_error(path):
-        return Camera(width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())

@@ -146,7 +146,8 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
                 hint="add --intrinsics K.json of the mask's camera",
             )
         return cloud
-    return _projected(cloud, options)
+    with as_input_error(path, or_named=True):
+        return _projected(cloud, options)
 
 
 def read_depth_image(
@@ -186,10 +187,10 @@ def masked(cloud: Cloud) -> Cloud:
 
 
 def cleaned_view(cloud: Cloud, whole_scene: bool) -> tuple[Cloud, str]:
-    """Clean a cloud; returns it in the camera's frame, with a report.
+    """Clean a cloud; returns it, in its frame, with a report.
 
     Args:
-        cloud: Cloud of a depth image.
+        cloud: Any cloud; flying pixels of a whole scene are found in its depth image only.
         whole_scene: Drop only flying pixels; otherwise also outliers and specks.
     """
     if not whole_scene:

@@ -25,6 +25,10 @@ FEWEST = 50
 """Least number of points of an object."""
 
 
+LARGEST = 100.0
+"""Largest volume of a workspace [m³]: points are grouped in a grid that fills it."""
+
+
 @dataclass(frozen=True)
 class SegmentationConfig:
     """Workspace of the segmentation.
@@ -42,6 +46,10 @@ class SegmentationConfig:
         if not finite or (corners[0] >= corners[1]).any():
             what = f"a workspace from {self.low} to {self.high}"
             raise InputError(what, allowed="two corners of finite numbers [m], the lower one first")
+        volume = float(np.prod(corners[1] - corners[0]))
+        if volume > LARGEST:
+            what = f"a workspace of {volume:.0f} m³"
+            raise InputError(what, where="--workspace", allowed=f"at most {LARGEST:g} m³")
 
 
 def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TILT) -> Array | None:

@@ -159,8 +159,8 @@ def displaced(
 
 
 def grown(inverse: Image, radius: float, relative: float) -> Image:
-    """Depth with near surfaces grown by `radius` pixels over surfaces farther by `relative` of
-    their depth."""
+    """Inverse depths [1/m] with near surfaces grown by `radius` pixels over surfaces farther by
+    `relative` of their depth."""
     found = inverse
     for _ in range(round(radius)):
         near = _dilated(found)

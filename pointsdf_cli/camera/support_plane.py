@@ -15,6 +15,8 @@ PLANES = 6
 """Number of candidates, the largest first."""
 ITERATIONS = 400
 """Random triples for each."""
+SCORED = 10_000
+"""Number of points among which those near each candidate are counted."""
 BAND = 0.008
 """Points nearer to a plane than this [m] at 1 m from the camera lie on it; it grows with the square
 of the distance, as depth noise does."""
@@ -39,9 +41,9 @@ CELL = 0.03
 def find_support_plane(points: Array) -> Array:
     """The plane [4] on which objects stand, (unit normal, offset): n·x = offset, camera frame.
 
-    Candidates are found one after another by RANSAC (Fischler and Bolles 1981; Open3D's
-    `segment_plane`). Unlike floors and walls, a table is seen from above and has objects near the
-    middle of the image on it; its size does not matter.
+    Candidates are found one after another by RANSAC (Fischler and Bolles 1981), in NumPy: to load
+    Open3D for it would take longer than the search. Unlike floors and walls, a table is seen from
+    above and has objects near the middle of the image on it; its size does not matter.
 
     Args:
         points: [N, 3], camera frame, m, one for each measured pixel.
@@ -105,15 +107,17 @@ def band_at(points: Array) -> Array:
 def largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
     """The plane [4] through most points [N, 3], m, in any frame, and a mask [N] of those within
     `BAND` of it. Its normal points towards the origin: the camera, in its own frame."""
-    import open3d as o3d
-
-    o3d.utility.random.seed(0)
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    # With probability 1 no thread ends the search early: equal clouds give equal planes.
-    equation, _ = cloud.segment_plane(BAND, 3, ITERATIONS, probability=1.0)
-    plane = np.array([*equation[:3], -equation[3]]) / np.linalg.norm(equation[:3])
-    if plane[3] > 0:  # the camera, at the origin, is on the other side
-        plane = -plane
+    rng = np.random.default_rng(0)
+    first, second, third = points[rng.integers(len(points), size=(3, ITERATIONS))]
+    normals = np.cross(second - first, third - first)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    offsets = np.einsum("ij,ij->i", normals, first)
+    few = points[:: 1 + len(points) // SCORED].astype(np.float32)
+    away = np.abs(few @ normals.T.astype(np.float32) - offsets.astype(np.float32))
+    # Equal or collinear points have no normal: all points would be near to their plane.
+    near = np.where(normals.any(axis=1), np.count_nonzero(away < BAND, axis=0), 0)
+    best = int(near.argmax())
+    plane = _fitted(points[np.abs(points @ normals[best] - offsets[best]) < BAND])
     return plane, np.abs(points @ plane[:3] - plane[3]) < BAND
 
 

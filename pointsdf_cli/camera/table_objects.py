@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -221,7 +221,8 @@ def add_masked_object(mask: NDArray[np.bool_], found: TableObjects) -> TableObje
         left = before & (label == one)
         if left.sum() < max(50, 0.2 * before.sum()):
             label[left] = LOOSE
-    return TableObjects(label, found.plane)
+    partly = {count} if found.cut & {int(one) for one in np.unique(found.label[mask])} else set()
+    return replace(found, label=label, cut=found.cut | partly)
 
 
 def _flat(height: Array, group: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -97,7 +97,10 @@ def cloud(
         made, about, source, notes = _cloud_of_bag(depth, bag, options, camera_pose, cleaned)
     else:
         if bag != BagOptions():
-            raise InputError("is not a bag, but an option for bags is given", where=depth)
+            of_bags = asdict(bag).items() - asdict(BagOptions()).items()
+            given = sorted(f"--{name.replace('_', '-')}" for name, _ in of_bags)
+            what = f"is not a bag, and {', '.join(given)} are for bags"
+            raise InputError(what, where=depth, hint="leave them out")
         _require_depth_image(depth, intrinsics)
         made, about, source, notes = _cloud_of_image(
             depth, options, camera_pose, cleaned, reporter.say

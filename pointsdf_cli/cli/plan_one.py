@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ class PlanOutputs:
         require_apart([self.out, self.picture, self.trajectory], inputs)
         files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
         asked = {option: path for option, path in files.items() if path is not None}
-        if len({path.resolve() for path in asked.values()}) < len(asked):
+        if len({os.path.realpath(path) for path in asked.values()}) < len(asked):
             where = ", ".join(f"{option} {path}" for option, path in asked.items())
             raise InputError("two outputs have one path", where=where, allowed="one each")
         common.check_picture(self.picture, force=True)  # its suffix

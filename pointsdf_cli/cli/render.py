@@ -98,8 +98,8 @@ def render(
         what = f"--noise with --sensor {sensor}, which has noise of its own"
         raise InputError(what, hint="leave it out")
     # Seconds of imports: only for options that fit each other.
+    from pointsdf_cli.camera.intrinsics import read_intrinsics
     from pointsdf_cli.camera.noise import DepthNoise
-    from pointsdf_cli.camera.pinhole import load_camera
     from pointsdf_cli.camera.scene_views import SceneViewConfig
     from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
     from pointsdf_cli.io.apart import require_apart
@@ -111,7 +111,7 @@ def render(
     table = SceneViewConfig(sensors, exact=exact) if scene == "table" else None
     away = ViewConfig.distance if distance is None else distance
     config = ViewConfig(
-        views, away, load_camera(camera), depth_noise, keep_depth, unit, above, table,
+        views, away, read_intrinsics(camera), depth_noise, keep_depth, unit, above, table,
         sensor=sensors[0],
     )  # fmt: skip
     found = shard_of(find_meshes(meshes, pattern), shard)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -62,7 +63,7 @@ def segment(
     require_apart(outputs, [scene, camera_pose, intrinsics, color, mask, robot, start])
     for path in outputs:
         common.check_picture(path, force)
-    if labels is not None and labels.resolve() == picture.resolve():
+    if labels is not None and os.path.realpath(labels) == os.path.realpath(picture):
         raise InputError("is the name of the picture, too", where=f"--labels {labels}")
     corners = None if workspace is None else box(workspace, "--workspace")
     files = SceneFileOptions(

@@ -118,7 +118,7 @@ def trial(
     require_successes([grasp_checkpoint], machine)
     chosen = protocol.choose_objects(meshes, objects, pattern, unit)
     pool = protocol.clutter_pool(meshes, pattern, unit) if clutter else []
-    asked = [c for c in cameras.split(",") if c]
+    asked = [name for camera in cameras.split(",") if (name := camera.strip())]
     trials = protocol.make_trials(chosen, variants, yaws, asked, repeats, seed, clutter, pool)
 
     # Seconds of imports: only for what can be used.

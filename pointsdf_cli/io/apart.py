@@ -6,6 +6,7 @@ Files are compared by identity, so links and other spellings of a path are recog
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -69,8 +70,12 @@ def _identity(path: Path) -> tuple[int, int]:
 
 def _files_of(source: Path | str | None) -> Iterator[Path]:
     """A file with the files it may name beside it, or a folder with its input files."""
-    if source is None or not os.path.exists(source):  # unlike Path's, it takes names of any length
+    if source is None:
         return
+    if not os.path.exists(source):  # unlike Path's, it takes names of any length
+        source = re.sub(r":\d+$", "", str(source))  # MASK:NUMBER
+        if not os.path.exists(source):
+            return
     source = Path(source)
     yield source
     if source.suffix.lower() in (".yaml", ".yml"):  # of a robot, perhaps, which lies beside it

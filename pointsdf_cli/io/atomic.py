@@ -185,7 +185,10 @@ def require_place(path: Path | str, force: bool) -> Path:
         InputError: As `require_new`, or its folder cannot be made or written.
     """
     path = require_new(path, force)
-    require_folder(path.parent)
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    if target.is_symlink():
+        raise UnwritableError("is a link that leads to itself", where=path)
+    require_folder(target.parent)
     return path
 
 

@@ -88,7 +88,13 @@ def match_poses(
             where=where,
             allowed=f"one pose an image; it has those of {', '.join(list(names)[:3])}, …",
         )
-    return [index for index in found if index is not None]
+    indices = [index for index in found if index is not None]
+    if len(set(indices)) < len(indices):
+        shared = {image.name: index for image, index in zip(images, indices, strict=True)}
+        several = [name for name, index in shared.items() if indices.count(index) > 1]
+        what = f"holds one pose for {', '.join(several[:5])}"
+        raise InputError(what, where=where, allowed="one an image; give the names with suffixes")
+    return indices
 
 
 def write_board_page(

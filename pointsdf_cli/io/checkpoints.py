@@ -147,7 +147,9 @@ def require_checkpoint_place(path: Path | str, replace: bool) -> None:
     Raises:
         InputError: It is a file or the working directory, cannot be written, or holds a run.
     """
-    named, path = path, Path(path).resolve()
+    named, path = path, Path(os.path.realpath(path))
+    if path.is_symlink():
+        raise UnwritableError("is a link that leads to itself", where=named)
     if path == Path.cwd():
         what = "is the working directory, which the checkpoint would replace"
         raise InputError(what, where="--out", allowed="a directory of its own, such as --out ckpt")

@@ -97,7 +97,7 @@ def holds_points(path: Path) -> bool:
         return False
     if len(shape) == 2:
         return min(shape) <= MOST_BESIDE and max(shape) >= A_ROW
-    return len(shape) == 3 and shape[2] > 1
+    return len(shape) == 3 and 3 <= shape[2] <= MOST_COLUMNS
 
 
 def read_npy(path: Path) -> RawCloud:

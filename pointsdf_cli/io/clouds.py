@@ -281,6 +281,10 @@ def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
     size = float(np.ptp(points, axis=0).max())
     # A camera's view of a room reaches metres far, its errors some more; another unit, thousands.
     if size < SMALLEST or np.abs(np.median(points, axis=0)).max() > FARTHEST:
+        if cloud.image is not None:
+            what = f"the depth image's points are {size:.3g} m across"
+            hint = "check --depth-scale, and focal lengths and principal point, in pixels"
+            raise InputError(what, where=where, allowed="a camera's view of a table", hint=hint)
         raise _size_error(points, size, where)
     return cloud
 

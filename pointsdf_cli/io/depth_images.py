@@ -106,6 +106,7 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
         InputError: No such image, another size, nothing in it, or the numbers of several objects.
     """
     path, number = mask_file(text)
+    has_palette = False
     if path.suffix.lower() == ".npy":
         values = _array(path)
     else:
@@ -114,6 +115,7 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
                 what = "is a JPEG, which changes a mask's values"
                 raise InputError(what, where=path, allowed="a mask as PNG, TIFF, BMP or NPY")
             # The numbers of a palette are labels, its colours are not.
+            has_palette = image.mode == "P"
             plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"
             values = np.asarray(image if image.mode == plain else image.convert(plain))
             if values.ndim == 3:
@@ -129,7 +131,7 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
             hint="resize it with nearest-neighbour sampling",
         )
     if number is None:
-        _require_one_object(values, path)
+        _require_one_object(values, path, has_palette)
     mask = values != 0 if number is None else values == number
     if not mask.any():
         there = ", ".join(f"{value:g}" for value in np.unique(values)[:20])
@@ -143,15 +145,22 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
     return np.asarray(mask)
 
 
-def _require_one_object(values: NDArray[Any], path: Path) -> None:
+def _require_one_object(values: NDArray[Any], path: Path, has_palette: bool) -> None:
     """Refuse a photograph, and an image of labels of which none is named.
 
     Raises:
-        InputError: It is a photograph, or holds the numbers of several objects.
+        InputError: It is a photograph, or holds negative numbers, NaN or those of several objects.
     """
     numbers = np.unique(values[values != 0])
-    # 255 is the foreground of masks, whose edges may have other numbers.
-    if 1 < len(numbers) <= LABELS and numbers[-1] != 255:
+    if not (numbers >= 0).all():
+        raise InputError(
+            f"holds {numbers[~(numbers >= 0)][0]:g}",
+            where=path,
+            allowed="a mask: 0 beside the object, positive numbers on it",
+            hint=f"name the object's number: --mask {path}:NUMBER",
+        )
+    # 255 is the foreground of masks, whose edges may have other numbers; of a palette, a label.
+    if 1 < len(numbers) <= LABELS and (has_palette or numbers[-1] != 255):
         raise InputError(
             f"holds {len(numbers)} numbers besides 0: {', '.join(f'{n:g}' for n in numbers[:12])}",
             where=path,

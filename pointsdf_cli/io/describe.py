@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
-from pointsdf_cli.io.hdf5 import open_hdf5
+from pointsdf_cli.io.hdf5 import flattened, open_hdf5
 from pointsdf_cli.io.hdf5_objects import datasets_of
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.ply import ply_has_faces
@@ -53,17 +53,6 @@ def is_cloud(path: Path) -> bool:
     """Whether a file that exists is a cloud by its suffix, and a PLY by its having no faces."""
     suffix = path.suffix.lower()
     return not ply_has_faces(path) if suffix == ".ply" else suffix in CLOUD_SUFFIXES
-
-
-def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings as one level: {"model.width": 256, ...}; lists stay as they are."""
-    flat: dict[str, Any] = {}
-    for name, value in config.items():
-        if isinstance(value, Mapping) and value:
-            flat |= flattened(value, f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:

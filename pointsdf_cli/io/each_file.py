@@ -77,12 +77,15 @@ def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
     Raises:
         OptionsDifferError: It was made with others, nothing says with which, or its contents are
             not those that were written.
-        InputError: The record cannot be read.
+        InputError: The record cannot be read, or a file of something else has its name.
     """
-    if not out.exists():
-        return False
     told = read_json(record) if record.exists() else None
     theirs = told.get("config") if isinstance(told, Mapping) else None
+    if not out.exists():
+        if told is not None and not isinstance(theirs, Mapping):
+            what = f"is no record of {out.name}, and is not overwritten without --force"
+            raise InputError(what, where=record, hint="choose another --out, or add --force")
+        return False
     if isinstance(told, Mapping) and theirs == config:
         # Older records have no digest.
         if told.get("sha256") not in (None, file_sha256(out)):

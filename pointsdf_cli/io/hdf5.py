@@ -41,6 +41,17 @@ def changed_options(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[
     return sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
 
 
+def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as one level: {"model.width": 256, ...}; lists stay as they are."""
+    flat: dict[str, Any] = {}
+    for name, value in config.items():
+        if isinstance(value, Mapping) and value:
+            flat |= flattened(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
 NO_SEED = -1
 """The `seed` attribute of an artifact in which nothing was drawn."""
 
@@ -276,6 +287,7 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
         theirs = options_of(file)
     ours = json.loads(json.dumps(dict(config)))
     if theirs != ours:
+        theirs, ours = flattened(theirs), flattened(ours)
         changed = changed_options(theirs, ours)
         differences = ", ".join(f"{k}: {theirs.get(k)} there, {ours.get(k)} now" for k in changed)
         raise OptionsDifferError.of_file(path, f"was made with other options ({differences})")

@@ -76,11 +76,6 @@ class RejectedSeeds:
     objective: Array
     slack: Array
 
-    @classmethod
-    def none(cls, joints: int) -> RejectedSeeds:
-        """Empty result: no seed was rejected."""
-        return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0), np.zeros((0, len(SLACKS))))
-
 
 @dataclass(frozen=True)
 class AcceptedGrasps:

@@ -27,6 +27,8 @@ TABLE_PLACE = (0.6, 0.0)
 reach."""
 
 
+UNIT = 0.02
+"""Largest deviation of a quaternion's length from 1: two decimals are enough."""
 FARTHEST = 50.0
 """Largest distance [m] of a camera from the world's origin."""
 
@@ -47,7 +49,11 @@ def camera_pose(
     """
     numbers = numbers_in(text, option, ALLOWED)
     matrix = numbers.reshape(4, 4) if len(numbers) == 16 else np.zeros((4, 4))
-    if len(numbers) == 7 and np.linalg.norm(numbers[3:]) > 1e-6:
+    length = float(np.linalg.norm(numbers[3:])) if len(numbers) == 7 else 1.0
+    if length > 1e-6 and abs(length - 1.0) > UNIT:
+        what = f"the quaternion {numbers[3:].tolist()} has length {length:.3g}, not 1"
+        raise InputError(what, where=option, allowed=ALLOWED)
+    if len(numbers) == 7 and length > 1e-6:
         matrix = transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     if not is_rigid(matrix):
         held = f"{text[:60]} holds " if os.path.exists(text) else ""
@@ -129,6 +135,9 @@ def _exactly(count: int, text: str, where: str, allowed: str) -> NDArray[np.floa
     return numbers
 
 
+_NUMBERS = re.compile(r"[-+0-9.eE,;\s]+")
+
+
 def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     """Numbers [N] typed with commas or spaces between, or those of a text, JSON or NPY file.
 
@@ -141,10 +150,11 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     """
     path = Path(text)
     try:
-        # Unlike Path's, it takes 16 numbers that are too long for a name. A pipe is no number.
-        if os.path.exists(text):
+        if _NUMBERS.fullmatch(text):  # a folder may have such a name, too
+            numbers = _of_text(text)
+        elif os.path.exists(text):  # unlike Path's, it takes names of any length
             numbers = _of_file(path)
-        elif re.fullmatch(r"[^,\s]*\.[A-Za-z]+", text):
+        elif re.fullmatch(r"[^,]*\.[A-Za-z]\w*", text):
             raise InputError("no such file", where=f"{where} {text[:200]}", allowed=allowed)
         else:
             numbers = _of_text(text)

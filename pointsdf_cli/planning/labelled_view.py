@@ -21,6 +21,7 @@ from pointsdf_cli.camera.table_objects import (
     add_masked_object,
     segment_table,
 )
+from pointsdf_cli.errors import as_input_error
 from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
 from pointsdf_cli.geometry.voxels import Thinned, thin
@@ -131,7 +132,8 @@ def label_view(
     if cloud.over_table:
         # This pose depends on the chosen object; the numbers must not depend on it.
         reach, workspace = None, ANYWHERE if workspace is WORKSPACE else workspace
-    points, _ = cloud.in_camera_frame()
+    with as_input_error(name, or_named=True):
+        points, _ = cloud.in_camera_frame()
     assert cloud.T_world_camera is not None
     thinned = thin_and_clean(points, cloud, cleaned)
     few = points[thinned.first]

@@ -13,7 +13,7 @@ import numpy as np
 
 from pointsdf_cli.camera.segmentation import find_table
 from pointsdf_cli.camera.support_plane import find_support_plane
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     apply_transform,
@@ -69,7 +69,8 @@ def require_no_mistaken_pose(cloud: Cloud, name: str) -> None:
     if cloud.frame == "world":
         _require_facing(cloud.points, pose, name)
         return
-    points, _ = cloud.in_camera_frame()
+    with as_input_error(name, or_named=True):
+        points, _ = cloud.in_camera_frame()
     points = points[:: max(1, len(points) // SAMPLE)]
     if len(points) < FEWEST or float(np.median(points[:, 2])) > FARTHEST:
         return  # too few points for a table, or another unit: told by the checks that follow

@@ -104,6 +104,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     with atomic_path(task.out) as temporary:
         save_mesh(temporary, vertices, made.faces, seen.comments)
         told = {"config": config, "sha256": file_sha256(temporary), **asdict(summary)}
-        task.out.unlink(missing_ok=True)  # the old mesh must not stand beside the new record
+        # The old mesh must not stand beside the new record; of a symbolic link, its target.
+        task.out.resolve().unlink(missing_ok=True)
         write_text_atomic(task.record, to_json(told, indent=1) + "\n")
     return summary

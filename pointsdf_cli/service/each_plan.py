@@ -10,6 +10,7 @@ from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import as_input_error
+from pointsdf_cli.io.atomic import require_new
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import SCHEMA, VERSION, read_plan, write_plan
 from pointsdf_cli.io.provenance import file_sha256
@@ -87,13 +88,15 @@ def plan_scene(task: PlanTask) -> PlanSummary | None:
     """Plan one scene into its file; None if the file is there already, with its picture.
 
     Raises:
-        InputError: The scene cannot be planned from.
+        InputError: The scene cannot be planned from, or the picture's name is taken.
         OptionsDifferError: The file was made with other options, or from another cloud.
     """
     config, drawn = task.config(), task.picture is None or task.picture.is_file()
     there = not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config)
     if there and drawn:
         return None
+    if task.picture is not None and not (task.force or task.out.exists()):
+        require_new(task.picture, force=False)  # it is not of an earlier plan
     settings = task.settings
     with as_input_error(kind=NoObjectError):  # one scene's mistake, not the stage's end
         poses = [] if task.pose is None else [task.pose]

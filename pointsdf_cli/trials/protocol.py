@@ -193,7 +193,7 @@ def choose_objects(
         return _distinct(every)
     # A file of exactly the name of one of the eight takes precedence.
     known = {item.name: item for item in (*eight, *every)}
-    named = objects.split(",")
+    named = [name.strip() for name in objects.split(",")]
     if len(set(named)) < len(named):
         raise InputError("names an object twice", where=f"--objects {objects}")
     _distinct([item for item in every if item.name in named])
@@ -249,6 +249,7 @@ def make_trials(
     unknown = [camera for camera in cameras if camera not in CAMERAS]
     if unknown or not cameras or len(set(cameras)) < len(cameras):
         what = f"no camera {', '.join(unknown)!r}" if unknown else "a camera is given twice"
+        what = what if cameras else "no camera is given"
         raise InputError(what, where="--cameras", allowed=", ".join(CAMERAS))
     twice = sorted({one.name for one in variants if list(variants).count(one) > 1})
     if twice or not variants:

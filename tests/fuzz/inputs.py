@@ -19,7 +19,7 @@ from PIL import Image
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.bag_cloud import BagOptions, cloud_of_bag
 from pointsdf_cli.camera.intrinsics import read_intrinsics
-from pointsdf_cli.camera.pinhole import Camera, load_camera
+from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.io.board_images import read_grey
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, read_cloud, write_cloud
@@ -110,7 +110,7 @@ INPUTS = (
     Input("mcap/mcap.mcap", _bag),
     Input("mcap/metadata.yaml", lambda path: _bag(path.parent), 0.5),
     Input("sqlite3/sqlite3.db3", _bag),
-    Input("camera.json", lambda path: load_camera(str(path))),
+    Input("camera.json", lambda path: read_intrinsics(str(path))),
     Input("pose.json", lambda path: camera_pose(str(path))),
     Input("pose.npy", lambda path: camera_pose(str(path))),
     Input("pose.txt", lambda path: camera_pose(str(path))),
