@@ -103,7 +103,7 @@ def no_plan(plan: Plan) -> Plan:
         trajectory=np.zeros((0, 2)),
         times=np.zeros(0),
         T_world_palm=np.full((4, 4), np.nan),
-        rejected=RejectedSeeds.none(2),
+        rejected=RejectedSeeds(np.zeros((0, 2)), (), np.zeros(0), np.zeros(0), np.zeros((0, 4))),
         link_clearance_object=nan,
         link_clearance_table=nan,
         kind="",
