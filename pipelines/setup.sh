@@ -66,5 +66,5 @@ install -e ".[$extras]"
 # pip would compile one module after another. Where PYTHONDONTWRITEBYTECODE is set, as in many
 # containers, modules that are not compiled now would be compiled again by every command.
 packages=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
-.venv/bin/python -m compileall -q -j 0 -x '/tests?/' "$packages" pointsdf_cli >/dev/null || true # templates fail
+.venv/bin/python -m compileall -q -j 0 -x 'site-packages/.*/tests?/' "$packages" pointsdf_cli >/dev/null || true # templates fail
 echo "$state $extras" >"$stamp"
