@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.planes import least_squares_plane, planes_through
 
 PLANE_SEARCH = 0.04
 """Largest height [m] of the table's plane above or below z = 0."""
@@ -70,12 +71,9 @@ def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TI
     rng = np.random.default_rng(0)
     sample = near[rng.choice(len(near), min(len(near), 1000), replace=False)]
     triples = sample[rng.integers(len(sample), size=(120, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    usable = length > 1e-6  # not in a line
-    normals = normals[usable] / length[usable, None]
+    normals, through = planes_through(triples)
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
-    offsets = (normals * triples[usable, 0]).sum(axis=1)
+    offsets = (normals * through).sum(axis=1)
     level = normals[:, 2] > np.cos(tilt)
     normals, offsets = normals[level], offsets[level]
     if not len(normals):
@@ -87,10 +85,8 @@ def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TI
         on_plane = np.compress(np.abs(near @ normal - offset) < PLANE_BAND, near, axis=0)
         if len(on_plane) < 3:
             return None
-        centre = on_plane.mean(axis=0)
-        away = on_plane - centre
-        _, axes = np.linalg.eigh(away.T @ away)
-        normal = axes[:, 0] * np.sign(axes[2, 0])
+        normal, centre = least_squares_plane(on_plane)
+        normal = normal * np.sign(normal[2])
         offset = float(normal @ centre)
     fits = np.abs(near @ normal - offset) < PLANE_BAND
     if float(fits.mean()) < share or normal[2] < np.cos(tilt):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.segmentation import clusters
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.planes import least_squares_plane, planes_through
 
 SAMPLE = 30_000
 """Number of points used."""
@@ -108,15 +109,13 @@ def largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
     """The plane [4] through most points [N, 3], m, in any frame, and a mask [N] of those within
     `BAND` of it. Its normal points towards the origin: the camera, in its own frame."""
     rng = np.random.default_rng(0)
-    first, second, third = points[rng.integers(len(points), size=(3, ITERATIONS))]
-    normals = np.cross(second - first, third - first)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    offsets = np.einsum("ij,ij->i", normals, first)
+    normals, through = planes_through(points[rng.integers(len(points), size=(ITERATIONS, 3))])
+    if not len(normals):  # all points lie in a line: any plane through it
+        normals, through = (row[None] for row in least_squares_plane(points))
+    offsets = (normals * through).sum(axis=1)
     few = points[:: 1 + len(points) // SCORED].astype(np.float32)
     away = np.abs(few @ normals.T.astype(np.float32) - offsets.astype(np.float32))
-    # Equal or collinear points have no normal: all points would be near to their plane.
-    near = np.where(normals.any(axis=1), np.count_nonzero(away < BAND, axis=0), 0)
-    best = int(near.argmax())
+    best = int(np.count_nonzero(away < BAND, axis=0).argmax())
     plane = _fitted(points[np.abs(points @ normals[best] - offsets[best]) < BAND])
     return plane, np.abs(points @ plane[:3] - plane[3]) < BAND
 
@@ -163,10 +162,8 @@ def _stood_on(plane: Array, sample: Array) -> tuple[Array, float]:
 
 def _fitted(points: Array) -> Array:
     """The least-squares plane [4] of points [N, 3], its normal towards the camera."""
-    centre = points.mean(axis=0)
-    away = points - centre
-    _, axes = np.linalg.eigh(away.T @ away)
-    normal = axes[:, 0] * (-1.0 if axes[:, 0] @ centre > 0 else 1.0)
+    normal, centre = least_squares_plane(points)
+    normal = normal * (-1.0 if normal @ centre > 0 else 1.0)
     return np.array([*normal, float(normal @ centre)])
 
 

@@ -74,8 +74,8 @@ def _files_of(source: Path | str | None) -> Iterator[Path]:
         return
     if not os.path.exists(source):  # unlike Path's, it takes names of any length
         source = re.sub(r":\d+$", "", str(source))  # MASK:NUMBER
-        if not os.path.exists(source):
-            return
+    if not os.path.exists(source):
+        return
     source = Path(source)
     yield source
     if source.suffix.lower() in (".yaml", ".yml"):  # of a robot, perhaps, which lies beside it

@@ -89,9 +89,9 @@ def match_poses(
             allowed=f"one pose an image; it has those of {', '.join(list(names)[:3])}, …",
         )
     indices = [index for index in found if index is not None]
-    if len(set(indices)) < len(indices):
-        shared = {image.name: index for image, index in zip(images, indices, strict=True)}
-        several = [name for name, index in shared.items() if indices.count(index) > 1]
+    numbered = zip(images, indices, strict=True)
+    several = [image.name for image, index in numbered if indices.count(index) > 1]
+    if several:
         what = f"holds one pose for {', '.join(several[:5])}"
         raise InputError(what, where=where, allowed="one an image; give the names with suffixes")
     return indices
