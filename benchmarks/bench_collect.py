@@ -27,8 +27,9 @@ import numpy as np
 import torch
 
 from pointsdf_cli.errors import InputError, leave_with_message
-from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.io.grasps import Grasps, read_grasps
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
+from pointsdf_cli.io.view_evidence import evidence_arrays
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig
 from pointsdf_cli.simulation.attempter import Attempter
@@ -59,10 +60,20 @@ def same(first: Path, second: Path) -> bool:
     names = [path.relative_to(first) for path in sorted(first.rglob("*.h5"))]
     for name in names:
         one, two = read_grasps(first / name)[0], read_grasps(second / name)[0]
-        for field in vars(one):
-            if not np.array_equal(getattr(one, field), getattr(two, field), equal_nan=True):
+        arrays, others = _arrays(one), _arrays(two)
+        if arrays.keys() != others.keys():
+            return False
+        for field, values in arrays.items():
+            is_float = values.dtype.kind == "f"
+            if not np.array_equal(values, others[field], equal_nan=is_float):
                 return False
     return bool(names)
+
+
+def _arrays(grasps: Grasps) -> dict[str, np.ndarray]:
+    """Fields of grasps, with the evidence of their views as arrays."""
+    fields = {name: np.asarray(value) for name, value in vars(grasps).items() if name != "evidence"}
+    return fields | evidence_arrays(grasps.evidence, len(grasps))
 
 
 def carried_out(

@@ -215,6 +215,8 @@ def compare(planner: Planner, scenes: list[Target]) -> None:
             accepted = [c for c in judged if not c.reason]
             best = min((c.objective for c in accepted), default=float("inf"))
             rows[name].append((took, len(accepted), best))
+    if not rows["sqp"]:
+        return
     print(f"{len(rows['sqp'])} scenes, the same seeds: seconds, accepted solutions, best objective")
     for name, values in rows.items():
         seconds, counts, bests = (np.array(column) for column in zip(*values, strict=True))

@@ -24,7 +24,7 @@ from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.precision import autocast_dtype
-from pointsdf_cli.training.presets import POINTSDF
+from pointsdf_cli.training.presets import preset
 from pointsdf_cli.training.sdf_config import SdfLoss
 from pointsdf_cli.training.sdf_data import augment, predict, read_batch
 from pointsdf_cli.training.sdf_loss import sdf_loss
@@ -93,19 +93,20 @@ def main() -> None:
     torch.set_num_threads(chosen.threads)
     torch.manual_seed(0)
     keep_large_allocations()
-    device, arguments = torch.device(chosen.device), POINTSDF[chosen.preset]
+    device, arguments = torch.device(chosen.device), preset("pointsdf", chosen.preset)[0]
 
     def timed(model: ShapeModel, precision: str) -> Callable[[int], None]:
         return stepper(model, precision, pack, chosen.batch_size, chosen.queries, device)
 
+    ray, _ = preset("pointsdf-ray", "small")
     pack = sphere_pack()
     # Processor time, so that other programs on the machine weigh little; a GPU is waited for.
     clock = time.perf_counter if device.type == "cuda" else time.process_time
     rows = {
         "PointSDF, bfloat16": timed(PointSDF(**arguments), "bfloat16"),
         "PointSDF, float32": timed(PointSDF(**arguments), "float32"),
-        "PointSDF-ray, bfloat16": timed(PointSDFRay(search="subsets"), "bfloat16"),
-        "PointSDF-ray, float32": timed(PointSDFRay(search="subsets"), "float32"),
+        "PointSDF-ray, bfloat16": timed(PointSDFRay(**ray), "bfloat16"),
+        "PointSDF-ray, float32": timed(PointSDFRay(**ray), "float32"),
     }
     if device.type == "cpu":
         rows["PointSDF, textbook, float32"] = timed(TextbookPointSDF(**arguments), "float32")

@@ -13,7 +13,11 @@ import sys
 from pathlib import Path
 
 from pointsdf_cli.errors import InputError, leave_with_message
-from pointsdf_cli.io.checkpoints import read_checkpoint, write_checkpoint
+from pointsdf_cli.io.checkpoints import (
+    read_checkpoint,
+    require_checkpoint_place,
+    write_checkpoint,
+)
 
 OF_A_RUN = ("training", "progress", "best", "data", "git_commit")
 """Entries of a checkpoint's configuration that describe its last run."""
@@ -24,9 +28,11 @@ def main(first_path: Path, second_path: Path, given_share: str, out: Path) -> No
     """Write the mean with the configuration of SECOND and, under `mean`, the first run.
 
     Raises:
-        SystemExit: SHARE is not from 0 to 1, or the networks are not of one kind and size.
+        SystemExit: SHARE is not from 0 to 1, the networks are not of one kind and size, or OUT is
+            a checkpoint already.
     """
     share = _share(given_share)
+    require_checkpoint_place(out, replace=False)
     first, second = read_checkpoint(first_path), read_checkpoint(second_path)
     kinds = [{name: value.shape for name, value in one.weights.items()} for one in (first, second)]
     if kinds[0] != kinds[1]:

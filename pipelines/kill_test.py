@@ -156,7 +156,8 @@ def look(work: Path, finished: dict[Path, str]) -> list[str]:
             continue
         try:
             read = {"grasps": read_grasps, "trials": _read_trials}
-            next((read[part] for part in path.parts if part in read), describe)(path)
+            parts = path.relative_to(work).parts
+            next((read[part] for part in parts if part in read), describe)(path)
         except InputError as error:
             found.append(error.message)
         if path.is_relative_to(work / "views") or path.is_relative_to(work / "labels"):

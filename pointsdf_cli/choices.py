@@ -25,6 +25,9 @@ Sensor = Literal["ideal", "structured-light", "stereo"]
 Solver = Literal["sqp", "slsqp"]
 Unit = Literal["m", "cm", "mm", "inch"]
 
+GRASP_KINDS = SIDE, TOP = ("side", "top")
+"""Kinds of a grasp, by the side of the object from which the hand comes; files hold indices."""
+
 
 def require_choice(value: str | None, choices: Any, option: str) -> None:
     """Require one of the names in a `Literal`, for values that no command line has checked.

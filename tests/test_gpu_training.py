@@ -223,6 +223,10 @@ def test_a_short_run_writes_a_checkpoint(tmp_path):
     few = subprocess.run(learn, capture_output=True, text=True, check=False)
     assert few.returncode == 2
     assert "no more are made" in few.stderr
+    sizes = subprocess.run(
+        [*learn, "--points", "1500"], capture_output=True, text=True, check=False
+    )
+    assert (sizes.returncode, "--points" in sizes.stderr) == (2, True)
     learn[2] = tmp_path / "viwes"
     with subprocess.Popen(["timeout", "100", *learn], stdout=subprocess.PIPE, text=True) as waiting:
         assert waiting.stdout is not None
@@ -251,6 +255,15 @@ def test_only_better_finite_weights_replace_a_checkpoint(tmp_path, gpu, monkeypa
     with pytest.raises(RgraspError, match="nan"):
         run._save()
     assert read_checkpoint(tmp_path / "out").weights["w"].tolist() == [1.0, 1.0]
+
+
+def test_the_held_out_objects_cannot_be_trained_on(tmp_path, gpu, monkeypatch, capsys):
+    import make_views
+
+    monkeypatch.setattr(sys, "argv", ["make_views.py", str(tmp_path), "--seed", "62"])
+    with pytest.raises(SystemExit) as left:
+        make_views.main()
+    assert (left.value.code, "held-out" in capsys.readouterr().err) == (2, True)
 
 
 def one_box(folder: Path) -> argparse.Namespace:

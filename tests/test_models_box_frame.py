@@ -130,21 +130,6 @@ def test_evidence_is_differentiable_everywhere() -> None:
     assert torch.autograd.gradcheck(lambda at: box_evidence(at, box, axis), smooth)
 
 
-def test_a_network_with_the_box_begins_as_the_one_without() -> None:
-    torch.manual_seed(0)
-    without = build_model("pointsdf-ray", {"revolution": True}, seed=0).eval()
-    beside = build_model("pointsdf-ray", {"revolution": True, "box": True}, seed=1)
-    beside.begin_with(without)
-    cloud, x = torch.randn(2, 1000, 3) * 0.2, torch.rand(2, 40, 3) - 0.5
-    camera = torch.tensor([[0.0, 0.0, -4.0], [0.2, 0.0, -3.0]])
-    with torch.no_grad():
-        same = beside.eval()(cloud, camera, x)
-        assert same.numpy() == pytest.approx(without(cloud, camera, x).numpy(), abs=1e-6)
-    value = beside(cloud, camera, x)
-    value.sum().backward()
-    assert beside.enter.weight.grad[:, -BOX_SIZE:].abs().sum() > 0  # and learns from the box
-
-
 def test_the_box_needs_the_axis() -> None:
     with pytest.raises(InputError, match="axis of revolution"):
         build_model("pointsdf-ray", {"box": True})

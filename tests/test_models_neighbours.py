@@ -18,7 +18,6 @@ from pointsdf_cli.models.neighbours import (
     farthest_point_order,
     gather,
     inverse_density,
-    nearest_in_subsets,
     nearest_neighbours,
     squared_distances,
 )
@@ -140,20 +139,6 @@ def test_farthest_points_cover_what_random_ones_leave_out() -> None:
     radius = squared_distances(cloud, chosen).amin(-1).amax().sqrt()
     random_radius = squared_distances(cloud, cloud[:, :64]).amin(-1).amax().sqrt()
     assert radius < 0.8 * random_radius
-
-
-def test_the_subset_search_always_holds_the_nearest_and_one_of_each_subset() -> None:
-    queries, cloud = _cloud(2, 2, 50), _cloud(3, 2, 1000)
-    index = nearest_in_subsets(queries, cloud, 5)
-    assert torch.equal((index % 5).sort(-1).values, torch.arange(5).expand(2, 50, 5))
-    found = (gather(cloud, index) - queries.unsqueeze(2)).norm(dim=-1).amin(-1)
-    best = torch.cdist(queries, cloud).amin(-1)
-    torch.testing.assert_close(found, best, rtol=2e-3, atol=1e-5)
-
-
-def test_the_subset_search_refuses_unequal_subsets() -> None:
-    with pytest.raises(ValueError, match="equal subsets"):
-        nearest_in_subsets(_cloud(0, 1, 4), _cloud(1, 1, 10), 3)
 
 
 def test_gather_takes_rows_of_its_own_cloud_and_sends_gradients_back() -> None:

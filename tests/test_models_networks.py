@@ -14,14 +14,12 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.voxelcnn import VOXEL, occupancy
-from pointsdf_cli.training.presets import POINTSDF
+from pointsdf_cli.training.presets import SMALL_POINTSDF
 
 MODELS = {
     "ray": ("pointsdf-ray", {}),
-    "ray-subsets": ("pointsdf-ray", {"search": "subsets"}),
     "ray-revolution": ("pointsdf-ray", {"revolution": True}),
-    "ray-revolution-subsets": ("pointsdf-ray", {"revolution": True, "search": "subsets"}),
-    "pointsdf": ("pointsdf", POINTSDF["small"]),
+    "pointsdf": ("pointsdf", SMALL_POINTSDF),
     "voxelcnn": ("voxelcnn", {}),
 }
 
@@ -135,8 +133,6 @@ def test_two_samplings_agree_where_every_point_is_read() -> None:
     assert apart(3000, 2500) == 0.0
     assert apart(3000, 5000) > 0.0  # a sample again
     assert apart(1000, 2500) > 0.0
-    with pytest.raises(InputError, match="exact"):
-        build_model("pointsdf-ray", {"most_points": 3000, "search": "subsets"}, seed=1)
 
 
 def test_bad_clouds_are_refused() -> None:
@@ -152,7 +148,7 @@ def test_unknown_architectures_and_arguments_are_refused() -> None:
     with pytest.raises(InputError, match="no architecture"):
         build_model("resnet")
     with pytest.raises(InputError, match="cannot be built"):
-        build_model("pointsdf-ray", {"search": "guess"})
+        build_model("pointsdf-ray", {"search": "exact"})
     with pytest.raises(InputError, match="cannot be built"):
         build_model("voxelcnn", {"depth": 3})
 

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from pointsdf_cli.models.neighbours import farthest_point_order, gather, nearest_neighbours
-from pointsdf_cli.models.registry import build_model
 from pointsdf_cli.models.revolution import (
     Axis,
     places,
@@ -146,16 +145,3 @@ def test_a_seen_point_is_its_own_symmetric_point() -> None:
     symmetric, trust = symmetric_points(cloud, axis, cloud, places(cloud, axis))
     torch.testing.assert_close(symmetric, cloud, atol=1e-6, rtol=0.0)
     assert float(trust[0, :, 3].min()) > 0.999
-
-
-@torch.no_grad()
-def test_a_decoder_that_learns_of_symmetric_points_begins_as_the_one_that_did_not_know_them() -> (
-    None
-):
-    cloud = _half_vase(0.003).float()
-    x = torch.rand(1, 50, 3, generator=torch.Generator().manual_seed(0)) - 0.5
-    known = build_model("pointsdf-ray", {"revolution": False}, seed=3)
-    knowing = build_model("pointsdf-ray", {"revolution": True}, seed=4)
-    knowing.begin_with(known)
-    camera = CAMERA.float()
-    torch.testing.assert_close(knowing(cloud, camera, x), known(cloud, camera, x))

@@ -110,8 +110,11 @@ def test_weights_are_checked_before_they_replace_others(
     assert "itself" in refusal(monkeypatch, capsys, export, good, good)
     for share in (1.5, "half"):
         assert "share" in refusal(monkeypatch, capsys, mean, good, good, share, good)
-    assert "other weights" in refusal(monkeypatch, capsys, mean, good, success, 0.5, good)
+    new = tmp_path / "new"
+    assert "other weights" in refusal(monkeypatch, capsys, mean, good, success, 0.5, new)
+    assert "holds a checkpoint" in refusal(monkeypatch, capsys, mean, good, good, 0.5, good)
     assert read_checkpoint(good).config == before
+    assert not new.exists()
 
 
 def test_meshes_that_cannot_be_compared_are_no_leak(

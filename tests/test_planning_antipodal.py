@@ -164,6 +164,8 @@ def test_jaws_meet_the_sides_squarely_where_neither_prior_nor_score_asks_for_it(
         return int((np.abs(palms[:, 0, 2]) > np.cos(np.radians(3))).sum())
 
     assert across_the_narrow_side() > 0
+    found = Planner(panda, PlannerConfig(synthesis=few)).search(target, seed=1).found
+    assert {one.has_prior for one in [*found.accepted, *found.rejected]} == {True, False}
     # Attempts that success networks learn from are proposed among the same grasps.
     planner = Planner(panda, PlannerConfig(synthesis=few))
     proposed = planner.solutions(target, np.random.default_rng(1), few).accepted

@@ -9,6 +9,7 @@ from planning_worlds import CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.planning.cancellation import CancelledError, cancellable
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.objective import ALPHA, BETA
@@ -141,3 +142,29 @@ def test_clearances_given_as_whole_numbers_keep_the_others_fractions() -> None:
     margin = Clearances(0.005, 0, 0).of_bodies(np.array([True, False]))
     margin[0] = 0.005
     assert margin.tolist() == [0.005, 0.0]
+
+
+def test_links_that_coupled_joints_move_against_each_other_are_kept_apart() -> None:
+    """One variable moves all links of the 2F-85, those of its two sides in opposite directions."""
+    robot = load_robot("ur5e_2f85")
+    field = CylinderField(RADIUS, 0.24, CENTRE)
+    score = NearPalm(PLACE, (1.0, 0.0, 0.0), np.zeros(len(robot.preshape_joints)))
+    problem = GraspProblem(RobotGeometry(Kinematics(robot)), score, field)
+    slack = problem._measured(((problem.lower + problem.upper) / 2)[None], gradients=False)[2][0]
+    compared = {frozenset(problem.names[k]) for k in np.flatnonzero(np.isfinite(slack))}
+    for side in ("left", "right"):
+        assert frozenset(("wrist_3_link", f"{side}_inner_finger")) in compared
+    assert frozenset(("left_outer_knuckle", "right_outer_knuckle")) in compared
+    assert frozenset(("left_inner_knuckle", "right_inner_knuckle")) in compared
+
+
+def test_a_cancelled_slsqp_ends_at_its_next_evaluation(robot, problem) -> None:
+    calls = []
+
+    def stopped() -> bool:
+        calls.append(0)
+        return len(calls) > 2
+
+    with cancellable(stopped), pytest.raises(CancelledError):
+        Slsqp().solve(problem, starts(robot, problem, 1))
+    assert len(calls) == 3

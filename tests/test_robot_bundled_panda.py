@@ -13,6 +13,7 @@ from conftest import run_cli
 from planning_worlds import AroundObject, CylinderField, NearPalm
 
 from pointsdf_cli.assets import asset_path, bundled_robots
+from pointsdf_cli.choices import TOP
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_vector, transform
 from pointsdf_cli.io.meshes import LoadedMesh
@@ -29,7 +30,6 @@ from pointsdf_cli.robot.check import check_robot
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.jaws import jaws_of
 from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.simulation.faces import TOP
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
 from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.simulation.world import World

@@ -8,7 +8,6 @@ import torch
 
 from pointsdf_cli.geometry.visibility import SIZE, ViewEvidence, visibility_image
 from pointsdf_cli.models.normalise import network_frame
-from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.ray_evidence import image_coordinates
 from pointsdf_cli.models.surroundings import (
     lower_plane,
@@ -150,28 +149,6 @@ SMALL = {
     "centres": (64, 32, 16, 8), "neighbours": (8, 8, 8, 4), "hidden": (8, 8, 8, 8),
     "channels": (8, 8, 16, 16), "width": 32, "blocks": 1, "local": 8, "heads": 1,
 }  # fmt: skip
-
-
-def test_inputs_that_come_between_others_are_refused() -> None:
-    without_box = PointSDFRay(**SMALL, revolution=True, surroundings=True)
-    with pytest.raises(RuntimeError, match="not the first"):
-        PointSDFRay(**SMALL, revolution=True, box=True, surroundings=True).begin_with(without_box)
-
-
-def test_new_inputs_change_nothing_before_they_are_trained() -> None:
-    arguments = {**SMALL, "revolution": True, "box": True}
-    torch.manual_seed(0)
-    old, new = PointSDFRay(**arguments).eval(), PointSDFRay(**arguments, surroundings=True).eval()
-    new.begin_with(old)
-    frame = network_frame(OBJECT)
-    cloud = torch.tensor(frame.to_network(OBJECT[:1000]), dtype=torch.float32)[None]
-    camera = torch.tensor(frame.to_network(np.zeros(3)), dtype=torch.float32)[None]
-    around = surroundings_of([ViewEvidence(VIEW)], [frame], torch.device("cpu"))
-    x = torch.rand(1, 20, 3) - 0.5
-    with torch.no_grad():
-        before = old.decode(old.encode(cloud, camera), x)
-        after = new.decode(new.encode(cloud, camera, surroundings=around), x)
-    assert torch.allclose(before, after, atol=1e-6)
 
 
 def test_a_lower_support_plane_is_lower_by_as_much() -> None:

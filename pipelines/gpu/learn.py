@@ -14,7 +14,7 @@ import argparse
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import Any
 
 import kernels
 import torch
-from make_views import MOST_POINTS
+from make_views import MOST_POINTS, SIZES
 from recipe import ENDED, RECIPE
 from torch import Tensor
 from views_on_device import Symmetry, Views
@@ -53,7 +53,7 @@ FILES_AT_ONCE = 3
 VALIDATION_QUERIES = 1500
 REPORT_EVERY = 500
 HELD_OUT = 1000
-"""Most views, and objects, that validate."""
+"""Most views that validate."""
 REFRESH_EVERY = 10
 """Steps after which new views are drawn from."""
 
@@ -198,6 +198,23 @@ class Files:
         return len(some)
 
 
+def _cloud_sizes(points: Sequence[int], recipe: Mapping[str, Any]) -> list[int]:
+    """Sizes of the clouds in increasing order.
+
+    Raises:
+        InputError: The view files hold clouds of their own, and not of these sizes.
+    """
+    sizes = sorted(points)
+    if recipe["samplings"] and (sizes[0] != SIZES[0] or not set(sizes) <= set(SIZES)):
+        raise InputError(
+            f"{', '.join(map(str, sizes))} points",
+            where="--points",
+            allowed=f"{SIZES[0]} and any of {', '.join(map(str, SIZES[1:]))}: the view files hold "
+            "clouds of these sizes",
+        )
+    return sizes
+
+
 def _keep_reading(files: Files, views: Views, over: threading.Event) -> None:
     """Add files as they appear, beside the training."""
     stream = torch.cuda.Stream() if views.device.type == "cuda" else None
@@ -222,7 +239,7 @@ class Run:
         torch.manual_seed(options.seed)
         keep_large_allocations()
         if device.type == "cuda":
-            SEARCHES["exact"] = kernels.nearest
+            SEARCHES["cuda"] = kernels.nearest
         arguments, config = settings("pointsdf-ray", "small", vars(options))
         if options.start_from is None:
             source = build_model("pointsdf-ray", arguments, seed=options.seed)
@@ -230,14 +247,16 @@ class Run:
             source = load_model(options.start_from)
         model = RayWithSymmetry(**source.config() | {"most_points": max(options.points)})
         model.load_state_dict(source.state_dict())
-        sizes = sorted(options.points)
         if not (options.views / RECIPE).exists():
             print(f"waiting for make_views.py to begin with {options.views}", flush=True)
         while not (options.views / RECIPE).exists():
             time.sleep(0.2)
-        like = device, model.sideways, sizes, self._recipe().get("samplings", 0)
-        self._views = Views(options.capacity, options.objects, *like)
-        self._held_out = Views(HELD_OUT, HELD_OUT, *like)
+        recipe = self._recipe()
+        sizes = _cloud_sizes(options.points, recipe)
+        like = device, model.sideways, sizes, recipe["samplings"]
+        objects = recipe["objects"] + recipe["scans"] * recipe["shapes_per_scan"]
+        self._views = Views(options.capacity, objects, *like)
+        self._held_out = Views(HELD_OUT, recipe["validation"], *like)
         self._files = Files(options.views)
         self._wait_for_views()
         self._began = time.monotonic()
@@ -334,7 +353,6 @@ def main() -> None:
     parser.add_argument("--learning-rate", type=float, default=1.5e-3)
     parser.add_argument("--overlap-weight", type=float, default=0.5)
     parser.add_argument("--capacity", type=int, default=150_000, help="views, 42 kB each")
-    parser.add_argument("--objects", type=int, default=10_000)
     parser.add_argument("--first-views", type=int, default=2000, help="views to wait for")
     parser.add_argument("--validate", type=float, default=2.0, help="minutes between validations")
     parser.add_argument("--force", action="store_true", help="replace a checkpoint")

@@ -317,6 +317,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()
+    if options.seed == VALIDATION_SEED:
+        parser.error(f"--seed {VALIDATION_SEED} makes the held-out objects; give another")
     end = time.monotonic() + 60 * options.minutes
     write_recipe(options)
     every = itertools.islice(tasks(options), options.files)

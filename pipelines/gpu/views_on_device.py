@@ -144,7 +144,7 @@ class Views:
         ends = np.cumsum(arrays["label_faces"])
         for row, number in enumerate(arrays["label_object"]):
             if number >= len(self._is_labelled):
-                raise IndexError(f"object {number}: learn.py needs more --objects")
+                raise IndexError(f"object {number} of {len(self._is_labelled)} in the recipe")
             if not self._is_labelled[number]:
                 x = torch.from_numpy(arrays["label_points"][row]).to(self.device)
                 if "label_sdf" in arrays:

@@ -76,14 +76,9 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
 )
 
 
-def without_ideal(config: dict[str, Any]) -> dict[str, Any]:
-    """Settings for `config_json`, with the sensor's parameters instead of its name.
-
-    The ideal sensor is omitted, so that files of earlier versions stay valid.
-    """
-    known = dict(config)
-    sensor = load_sensor(known.pop("sensor"))
-    return known if sensor.is_ideal else known | {"sensor": sensor.as_dict()}
+def with_sensor_parameters(config: dict[str, Any]) -> dict[str, Any]:
+    """Settings for `config_json`, with the sensor's parameters instead of its name."""
+    return config | {"sensor": load_sensor(config["sensor"]).as_dict()}
 
 
 def load_sensor(name: str) -> DepthSensor:

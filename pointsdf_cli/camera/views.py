@@ -15,7 +15,7 @@ from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image, depth_window
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
 from pointsdf_cli.camera.sensor import DepthSensor
-from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
+from pointsdf_cli.camera.sensor_presets import load_sensor, with_sensor_parameters
 from pointsdf_cli.errors import InputError, as_input_error
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import random_rotation, transform
@@ -81,13 +81,8 @@ class ViewConfig:
         return load_sensor(self.sensor).with_noise(self.noise)
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
-        known = asdict(self)
-        if not self.above:
-            del known["above"]
-        if self.scene is None:
-            del known["scene"]
-        return without_ideal(known)
+        """Settings for `config_json`."""
+        return with_sensor_parameters(asdict(self))
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,8 @@ def train_gs(
     sdf: Annotated[
         Path | None,
         typer.Option(
-            help="Reconstruction network to build on.  [default: the bundled pointsdf_real]"
+            help="Reconstruction network to build on.  [default: the bundled pointsdf_real, or "
+            "voxelcnn for that encoder]"
         ),
     ] = None,
     robot: common.Robot = None,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.hdf5 import (
@@ -43,7 +44,6 @@ EVIDENCE = evidence_layout("G")
 
 HELD, LOST, NO_MOTION, NO_CONFIGURATION, INVALID = 1, 0, -1, -2, -3
 """Labels. A grasp counts as executed if it is held or lost; INVALID is a simulation that failed."""
-KINDS = ("side", "top")
 CAUSES = (
     "held",
     "missed",
@@ -65,7 +65,7 @@ SIMULATED = CAUSES[:6]
 
 @dataclass(frozen=True)
 class Grasps:
-    """G attempts with one object. `kind` and `cause` are indices into `KINDS` and `CAUSES`.
+    """G attempts with one object. `kind` and `cause` are indices into `GRASP_KINDS` and `CAUSES`.
 
     Attributes:
         cloud: f4 [G, 1000, 3], camera frame, m: the object as segmented from the view.
@@ -153,7 +153,7 @@ def write_grasps(
     """Write all attempts with one object as one HDF5 file."""
     names = {"joint_names": list(meta.joint_names), "preshape_joints": list(meta.preshape_joints)}
     arrays = vars(grasps) | evidence_arrays(grasps.evidence, len(grasps))
-    attributes = vars(meta) | names | {"kinds": list(KINDS), "causes": list(CAUSES)}
+    attributes = vars(meta) | names | {"kinds": list(GRASP_KINDS), "causes": list(CAUSES)}
     write_artifact(
         path,
         SCHEMA,
@@ -176,7 +176,8 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
     attributes, datasets = artifact.attributes, artifact.datasets
     evidence = read_view_evidence(path, datasets)
     grasps = Grasps(**{name: datasets[name] for name in LAYOUT}, evidence=evidence)
-    for name, values, known in (("kind", grasps.kind, KINDS), ("cause", grasps.cause, CAUSES)):
+    indices = ("kind", grasps.kind, GRASP_KINDS), ("cause", grasps.cause, CAUSES)
+    for name, values, known in indices:
         if len(values) and not 0 <= values.min() <= values.max() < len(known):
             what = f"{name} runs from {values.min()} to {values.max()}"
             raise InputError(what, where=path, allowed=f"0 to {len(known) - 1}: {', '.join(known)}")

@@ -156,7 +156,6 @@ def read_artifact(
     schema: str,
     version: int,
     names: Layout | None = None,
-    oldest: int | None = None,
     optional: Layout | None = None,
 ) -> Artifact:
     """Read an artifact of the given schema, all of its datasets or those of a layout.
@@ -165,7 +164,6 @@ def read_artifact(
         path: The file.
         schema, version: Required schema and version.
         names: The layout of the datasets to read; None for all, whatever they are.
-        oldest: The oldest version that is read too; `version` alone if None.
         optional: Datasets that are read and checked too where they are there.
 
     Raises:
@@ -174,7 +172,7 @@ def read_artifact(
     """
     path = Path(path)
     with open_hdf5(path) as file:
-        _require_schema(path, file, schema, version, oldest)
+        _require_schema(path, file, schema, version)
         wanted = sorted(file) if names is None else list(names)
         missing = [name for name in wanted if name not in file]
         if missing:
@@ -314,13 +312,10 @@ def _named_schema(path: Path, file: h5py.File, schema: str) -> None:
         raise InputError(what, where=path, hint=f"rgrasp info {path} shows what it is")
 
 
-def _require_schema(
-    path: Path, file: h5py.File, schema: str, version: int, oldest: int | None = None
-) -> None:
+def _require_schema(path: Path, file: h5py.File, schema: str, version: int) -> None:
     _named_schema(path, file, schema)
     theirs = file.attrs.get("schema_version")
-    oldest = version if oldest is None else oldest
-    if not isinstance(theirs, (int, np.integer)) or not oldest <= int(theirs) <= version:
+    if not isinstance(theirs, (int, np.integer)) or int(theirs) != version:
         age = "older" if isinstance(theirs, (int, np.integer)) and theirs < version else "another"
         raise InputError(
             f"is {age} version of the {schema} schema ({theirs})",

@@ -43,7 +43,7 @@ OPTIONAL = {
     "object_vertices": Column("f4 [V, 3]", "m", "world", compress=True),
     "object_faces": Column("i4 [F, 3]", compress=True),
 }
-"""Datasets that older files lack."""
+"""The object's surface; absent from plans that were made without it."""
 FACTS: dict[str, type] = {
     "status": str, "reason": str, "sentence": str, "kind": str,
     "success_probability": float, "objective": float, "seeds_tried": int,

@@ -17,8 +17,6 @@ from pointsdf_cli.io.layout import Column, Layout
 from pointsdf_cli.io.view_evidence import evidence_arrays, evidence_layout, read_view_evidence
 
 SCHEMA, VERSION = "views", 2
-OLDEST = 1
-"""Version 1 knows nothing of the space around the object; it is read as unknown."""
 LAYOUT = {
     "cloud": Column("f4 [V, P, 3]", "m", "camera"),
     "T_camera_object": Column("f8 [V, 4, 4]", "1, m", "camera"),
@@ -75,12 +73,9 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
     Raises:
         InputError: Not a views file of this version.
     """
-    with_evidence = _read(path, {}).attributes["schema_version"] > 1
-    names = LAYOUT | (DEPTH if with_depth else {}) | (EVIDENCE if with_evidence else {})
-    artifact = _read(path, names)
+    artifact = _read(path, LAYOUT | EVIDENCE | (DEPTH if with_depth else {}))
     attributes, datasets = artifact.attributes, artifact.datasets
-    count = len(datasets["cloud"])
-    known = read_view_evidence(path, datasets) if with_evidence else (ViewEvidence(),) * count
+    evidence = read_view_evidence(path, datasets)
     with attributes_as_input_error(path):
         if not all(map(is_rigid, datasets["T_camera_object"])):
             raise ValueError("a pose that is not a rigid transform")
@@ -95,7 +90,7 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
             mesh_hash=str(attributes["mesh_hash"]),
             mesh_repair=str(attributes["mesh_repair"]),
             depth=datasets.get("depth"),
-            evidence=known,
+            evidence=evidence,
         )
 
 
@@ -125,4 +120,4 @@ def read_views_header(path: Path | str) -> ViewsHeader:
 
 
 def _read(path: Path | str, names: Layout) -> Artifact:
-    return read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names=names)
+    return read_artifact(path, schema=SCHEMA, version=VERSION, names=names)

@@ -146,9 +146,8 @@ def read_grasp_checkpoint(
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
     try:
         network = NETWORKS[config["inputs"]](**config["network"])
-        # Older checkpoints lack these keys: they read one point a pad, and a box as wide as swept.
-        sizes = {"points_per_pad": 1, "narrowest": 0.0, **config["sweep"]}
-        sweep = HandSweep(robot, SweepConfig(**{**sizes, "grid": tuple(sizes["grid"])}))
+        sizes = {**config["sweep"], "grid": tuple(config["sweep"]["grid"])}
+        sweep = HandSweep(robot, SweepConfig(**sizes))
         network.load_state_dict(float_weights(checkpoint, "network."))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(
@@ -168,7 +167,8 @@ def _check_config(config: Mapping[str, Any], where: object) -> None:
     Raises:
         InputError: A key is missing: the file is damaged or was written by hand.
     """
-    parts = {"robot": ("name", "preshape_joints"), "mode": (), "encoder": (), "inputs": ()}
+    of_robot = ("name", "preshape_joints", "course")
+    parts = {"robot": of_robot, "mode": (), "encoder": (), "inputs": ()}
     for key, inner in parts.items():
         missing = key not in config or (
             key in ("robot", "encoder") and not isinstance(config[key], Mapping)
@@ -189,12 +189,9 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
     Raises:
         InputError: The fingers move differently.
     """
-    learned = config["robot"].get("course")  # older checkpoints do not say
     now = sweep.course()
-    if learned is None:
-        return
     try:
-        course = np.asarray(learned, dtype=float)
+        course = np.asarray(config["robot"]["course"], dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError("its config.json has no usable 'course'", where=where) from error
     if course.shape != now.shape or not np.allclose(course, now, atol=COURSE_OFF):

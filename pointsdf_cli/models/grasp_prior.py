@@ -29,11 +29,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vector
 
-KINDS = ("side", "top")
 TENSORS = ("weights", "rotations", "means", "choleskys", "ranges")
 """Arguments of `GraspPrior`, in order, as a checkpoint names them."""
 LENGTH = 0.1
@@ -115,7 +115,7 @@ class GraspPrior:
             place: The object.
         """
         parts = []
-        for kind in range(len(KINDS)):
+        for kind in range(len(GRASP_KINDS)):
             if self.weights[kind] <= 0:
                 continue
             y = self.coordinates(kind, preshape, T_world_palm, place)
@@ -136,9 +136,9 @@ class GraspPrior:
         Raises:
             InputError: `kind` is neither "side" nor "top".
         """
-        if kind not in KINDS:
-            raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join(KINDS))
-        k = KINDS.index(kind)
+        if kind not in GRASP_KINDS:
+            raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join(GRASP_KINDS))
+        k = GRASP_KINDS.index(kind)
         if self.weights[k] <= 0:
             count = 0
         noise = torch.from_numpy(rng.standard_normal((count, self.means.shape[1])))

@@ -19,6 +19,9 @@ from pointsdf_cli.models.search_trees import nearest_by_tree
 TREE_FROM = 32
 """Number of queries per cloud from which a search tree pays off."""
 
+SEARCHES: dict[str, Callable[[Tensor, Tensor, int], Tensor]] = {}
+"""Implementations of `nearest_neighbours` by type of device; pipelines/gpu adds one for "cuda"."""
+
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
     """Squared distances between two sets by one matrix product.
@@ -52,49 +55,12 @@ def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
     Returns:
         int64 indices [B, Q, count] into the points.
     """
+    if search := SEARCHES.get(points.device.type):
+        return search(queries, points, count)
     if queries.shape[1] >= TREE_FROM and points.device.type == "cpu":
         return nearest_by_tree(queries, points, count)
     distances = squared_distances(queries, points)
     return distances.topk(count, dim=-1, largest=False, sorted=True).indices
-
-
-@torch.no_grad()
-def nearest_in_subsets(queries: Tensor, points: Tensor, subsets: int) -> Tensor:
-    """The nearest point in each of several interleaved subsets, unordered.
-
-    The points with index ≡ s (mod `subsets`) form subset s. The nearest of all points is always
-    among the results, and the others surround it at about the spacing of a subset. A network learns
-    as well from these as from the exact K nearest, at a fraction of the cost: minima, no selection.
-
-    Args:
-        queries: [B, Q, D].
-        points: [B, N, D], N a multiple of `subsets`.
-        subsets: Number of subsets, and of neighbours.
-
-    Returns:
-        int64 indices [B, Q, subsets] into the points.
-    """
-    batch, count, total = len(queries), queries.shape[1], points.shape[1]
-    if total % subsets:
-        raise ValueError(f"{total} points do not part into {subsets} equal subsets")
-    # Non-negative floats are ordered like their bits, so a distance with its index in the lowest
-    # bits is minimised together with it, at a precision of 2^-13 for 1000 indices.
-    mask = (1 << (total - 1).bit_length()) - 1
-    index = torch.arange(total, dtype=torch.int32, device=points.device)
-    keys = squared_distances(queries, points).view(torch.int32)
-    keys.bitwise_and_(~mask).bitwise_or_(index)
-    # In two steps, because a minimum over rows of at least a vector's width is much faster.
-    width = max(w for w in range(subsets, max(64, subsets) + 1, subsets) if total % w == 0)
-    keys = keys.view(batch, count, total // width, width).amin(2)
-    keys = keys.view(batch, count, width // subsets, subsets).amin(2)
-    return (keys & mask).long()
-
-
-SEARCHES: dict[str, Callable[[Tensor, Tensor, int], Tensor]] = {
-    "exact": nearest_neighbours,
-    "subsets": nearest_in_subsets,
-}
-"""Neighbour searches by their name in an architecture's config."""
 
 
 @torch.no_grad()

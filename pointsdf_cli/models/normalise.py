@@ -14,6 +14,7 @@ import numpy as np
 from pointsdf_cli.errors import InputError
 
 MARGIN = 1.03
+"""Ratio of a network unit to the cloud's largest extent."""
 
 
 class NetworkFrame(NamedTuple):

@@ -24,12 +24,7 @@ from torch import Tensor, nn
 from pointsdf_cli.models.box_frame import BOX_SIZE, BoxFrame, box_evidence, box_frame
 from pointsdf_cli.models.decoder_parts import CentreAttention, LocalFeatures, ResidualBlock
 from pointsdf_cli.models.linear import Linear, dense
-from pointsdf_cli.models.neighbours import (
-    SEARCHES,
-    farthest_point_order,
-    gather,
-    nearest_neighbours,
-)
+from pointsdf_cli.models.neighbours import farthest_point_order, gather, nearest_neighbours
 from pointsdf_cli.models.pointconv import PointConv
 from pointsdf_cli.models.ray_evidence import EVIDENCE_SIZE, image_coordinates, ray_evidence
 from pointsdf_cli.models.revolution import (
@@ -67,8 +62,7 @@ class PointSDFRay(ShapeModel):
         width: Width of the decoder.
         blocks: Residual blocks of the decoder.
         local: Width of each local feature.
-        heads: Heads of the attention over the third layer's centres; 0 leaves it out.
-        search: Neighbour search: `exact`, or `subsets`, which is faster and about as good.
+        heads: Heads of the attention over the third layer's centres.
         revolution: Whether the decoder reads the evidence at a query's symmetric point too.
         sideways: Preference of its axis, see `revolution_axis`.
         box: Whether the decoder also reads where a query lies in the box around the cloud (with
@@ -93,7 +87,6 @@ class PointSDFRay(ShapeModel):
         blocks: int = 4,
         local: int = 64,
         heads: int = 4,
-        search: str = "exact",
         revolution: bool = False,
         sideways: float = 0.0,
         box: bool = False,
@@ -104,7 +97,7 @@ class PointSDFRay(ShapeModel):
         self.keep_arguments(locals())
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
         self.blocks, self.local = blocks, local
-        self.search, self.revolution, self.sideways = search, revolution, sideways
+        self.revolution, self.sideways = revolution, sideways
         self.has_box, self.reads_surroundings = box, surroundings
         self.most_points = most_points
         self.packed_neighbours = (centres[0], neighbours[0])
@@ -124,7 +117,7 @@ class PointSDFRay(ShapeModel):
         self.enter = Linear(self._input_size(), width)
         self.embed_first = Linear(self.embedding_size, width)
         self.embed_middle = Linear(self.embedding_size, width)
-        self.attention = CentreAttention(width, channels[2], heads) if heads else None
+        self.attention = CentreAttention(width, channels[2], heads)
         self.trunk = nn.ModuleList(ResidualBlock(width) for _ in range(blocks))
         self.leave_norm = nn.LayerNorm(width)
         self.leave = Linear(width, 1)
@@ -132,42 +125,20 @@ class PointSDFRay(ShapeModel):
         self.register_buffer("frequencies", frequencies, persistent=False)
 
     def _check(self) -> None:
-        if self.search not in SEARCHES:
-            raise ValueError(f"no neighbour search {self.search!r}")
         for found, k in zip((self.cloud_size, *self.centres), self.neighbours, strict=False):
             if not 1 <= k <= found:
                 raise ValueError(f"{k} neighbours of {found} points")
-        if self.most_points != self.cloud_size and self.search != "exact":
-            raise ValueError("clouds of any size need the exact neighbour search")
         if self.has_box and not self.revolution:
             raise ValueError("the box is read with the axis of revolution only")
 
     def _input_size(self) -> int:
         """Numbers that the decoder reads about a query."""
         size = 3 + 6 * OCTAVES + EVIDENCE_SIZE + 3 * self.local
-        # Last among the inputs, so that weights of a decoder without them fit (`begin_with`).
         size += (TRUST_SIZE + EVIDENCE_SIZE + self.local) if self.revolution else 0
         size += BOX_SIZE if self.has_box else 0
         if self.reads_surroundings:
             size += SURROUNDINGS_SIZE + (VISIBILITY_SIZE if self.revolution else 0)
         return size
-
-    def _optional_inputs(self) -> tuple[bool, ...]:
-        """Presence of the decoder's optional inputs, in their order."""
-        return bool(self.revolution), self.has_box, self.reads_surroundings
-
-    def begin_with(self, other: ShapeModel) -> None:
-        state = other.state_dict()
-        if isinstance(other, PointSDFRay) and other.revolution <= self.revolution:
-            # Weights of new inputs start at zero, so that the function is the same at first.
-            narrow = state["enter.weight"]
-            had, has = other._optional_inputs(), self._optional_inputs()
-            if had != tuple(mine and any(had[k:]) for k, mine in enumerate(has)):
-                # The columns of later inputs would stand where the missing ones belong.
-                raise RuntimeError("its inputs are not the first of this model's inputs")
-            missing = max(0, self.enter.in_features - narrow.shape[1])
-            state["enter.weight"] = torch.nn.functional.pad(narrow, (0, missing))
-        self.load_state_dict(state)
 
     def encode(
         self,
@@ -191,14 +162,13 @@ class PointSDFRay(ShapeModel):
             neighbours = nearest_neighbours(points, cloud, self.neighbours[0])
         else:
             points = cloud[:, : self.centres[0]]
-        search = SEARCHES[self.search]
         features = self.layers[0](cloud, None, points, neighbours)
         levels = [(points, features)]
         coarser = zip(list(self.layers)[1:], self.centres[1:], self.neighbours[1:], strict=True)
         for layer, count, k in coarser:
             # Farthest point orders are nested, so a coarser level is a prefix of the finer one.
             coarse = points[:, :count]
-            features = layer(points, features, coarse, search(coarse, points, k))
+            features = layer(points, features, coarse, nearest_neighbours(coarse, points, k))
             points = coarse
             levels.append((points, features))
         (fine_at, fine), (coarse_at, coarse_features), (token_at, tokens), _ = levels
@@ -216,8 +186,7 @@ class PointSDFRay(ShapeModel):
             "coarse": self.local_coarse.table(coarse_features, coarse_at),
             "image": self.local_image.table(coarse_features, coarse_at),
         }
-        if self.attention is not None:
-            evidence |= self.attention.keys_and_values(tokens, token_at)
+        evidence |= self.attention.keys_and_values(tokens, token_at)
         if self.reads_surroundings:
             around = surroundings or no_surroundings(len(cloud), cloud.device)
             evidence |= {f"around_{name}": value for name, value in around._asdict().items()}
@@ -241,32 +210,29 @@ class PointSDFRay(ShapeModel):
 
     def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
         known = encoding.evidence
-        tables = [name for name in ("fine", "coarse", "image", "keys", "values") if name in known]
+        tables = "fine", "coarse", "image", "keys", "values"
         return encoding._replace(evidence=known | {name: known[name].to(dtype) for name in tables})
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
         known, count = encoding.evidence, x.shape[1]
-        camera, search = known["camera"], SEARCHES[self.search]
+        camera = known["camera"]
         with torch.autocast(x.device.type, enabled=False):
             angles = (x.unsqueeze(-1) * self.frequencies).flatten(-2)
             both = x
             if self.revolution:
                 axis = _axis(known)
-                symmetric, trust = symmetric_points(
-                    x, axis, known["cloud"], known["places"], self.search
-                )
+                symmetric, trust = symmetric_points(x, axis, known["cloud"], known["places"])
                 # In one pass: operations on small tensors take a time of their own.
                 both = torch.cat([x, symmetric], dim=1)
             both_image = image_coordinates(both, camera)
             seen = ray_evidence(
-                both, both_image, known["cloud"], known["cloud_image"], known["cloud_plane"],
-                camera, self.search,
-            )  # fmt: skip
-        near = search(both, known["fine_at"], 8)
+                both, both_image, known["cloud"], known["cloud_image"], known["cloud_plane"], camera
+            )
+        near = nearest_neighbours(both, known["fine_at"], 8)
         local = self.local_fine(both, known["fine"], near).to(x.dtype)
-        near_coarse = search(x, known["coarse_at"], 4)
+        near_coarse = nearest_neighbours(x, known["coarse_at"], 4)
         x_image = both_image[:, :count]
-        near_image = search(x_image[..., :2], known["coarse_plane"], 4)
+        near_image = nearest_neighbours(x_image[..., :2], known["coarse_plane"], 4)
         inputs = [
             x,
             torch.sin(angles),
@@ -293,8 +259,7 @@ class PointSDFRay(ShapeModel):
         for step, block in enumerate(self.trunk):
             if step == self.blocks // 2:
                 h = h + self.embed_middle(encoding.embedding).unsqueeze(1)
-                if self.attention is not None:
-                    h = h + self.attention(h, known["keys"], known["values"])
+                h = h + self.attention(h, known["keys"], known["values"])
             h = block(h)
         return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).to(x.dtype)
 

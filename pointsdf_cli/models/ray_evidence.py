@@ -15,10 +15,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.neighbours import SEARCHES, gather
+from pointsdf_cli.models.neighbours import gather, nearest_neighbours
 
 SPACE_NEIGHBOURS = 4
-IMAGE_NEIGHBOURS = {"exact": 6, "subsets": 5}
+IMAGE_NEIGHBOURS = 6
 SHARP, SOFT = 0.025, 0.1
 """Scales of the saturating copies of each distance: about one point spacing, and a part's size."""
 
@@ -52,7 +52,6 @@ def ray_evidence(
     cloud_image: Tensor,
     cloud_plane: Tensor,
     camera: Tensor,
-    search: str = "exact",
 ) -> Tensor:
     """The evidence of each query.
 
@@ -63,17 +62,16 @@ def ray_evidence(
         cloud_image: [B, P, 3], `image_coordinates` of the cloud.
         cloud_plane: [B, P, 2], the first two of these.
         camera: [B, 3], network frame.
-        search: Neighbour search, a key of `SEARCHES`.
 
     Returns:
         [B, Q, EVIDENCE_SIZE], float32.
     """
-    near = SEARCHES[search](x, cloud, SPACE_NEIGHBOURS)
+    near = nearest_neighbours(x, cloud, SPACE_NEIGHBOURS)
     offset = x.unsqueeze(2) - gather(cloud, near)
     distance = _length(offset)
     closest = distance.detach().argmin(-1, keepdim=True)
 
-    seen = SEARCHES[search](x_image[..., :2], cloud_plane, IMAGE_NEIGHBOURS[search])
+    seen = nearest_neighbours(x_image[..., :2], cloud_plane, IMAGE_NEIGHBOURS)
     gap = x_image.unsqueeze(2) - gather(cloud_image, seen)
     aside, behind = gap[..., :2], gap[..., 2]
     lateral = _length(aside)

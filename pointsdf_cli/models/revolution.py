@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.neighbours import SEARCHES, gather
+from pointsdf_cli.models.neighbours import gather, nearest_neighbours
 
 ROUNDS = 5
 """Rounds of reweighting."""
@@ -133,7 +133,7 @@ def places(x: Tensor, axis: Axis) -> Tensor:
 
 
 def symmetric_points(
-    x: Tensor, axis: Axis, cloud: Tensor, cloud_places: Tensor, search: str = "exact"
+    x: Tensor, axis: Axis, cloud: Tensor, cloud_places: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Turn queries about the axis to an observed azimuth.
 
@@ -142,7 +142,6 @@ def symmetric_points(
         axis: Axis of each cloud.
         cloud: [B, P, 3].
         cloud_places: [B, P, 5], `places` of the cloud.
-        search: A key of `SEARCHES`.
 
     Returns:
         Symmetric points [B, Q, 3] and their trust features [B, Q, TRUST_SIZE]. Both are
@@ -150,12 +149,7 @@ def symmetric_points(
     """
     radius, height, radial = cylindrical(x, axis)
     wanted = torch.cat([radius, height, NEARNESS * x], dim=-1)
-    if search == "exact":
-        nearest = SEARCHES[search](wanted, cloud_places, 1)
-    else:  # the nearest of the nearest of each subset
-        some = SEARCHES[search](wanted, cloud_places, 5)
-        far = (gather(cloud_places, some) - wanted.unsqueeze(2)).square().sum(-1)
-        nearest = some.gather(-1, far.argmin(-1, keepdim=True))
+    nearest = nearest_neighbours(wanted, cloud_places, 1)
     seen = gather(cloud, nearest.squeeze(-1))
     seen_radius, seen_height, seen_radial = cylindrical(seen, axis)
     direction = axis.direction.unsqueeze(1)

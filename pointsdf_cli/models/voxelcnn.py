@@ -10,6 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.normalise import MARGIN
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import Surroundings
 
@@ -17,8 +18,8 @@ GRID = 32
 VIEW_VOXELS = 26
 """Number of voxels along the partial view's largest extent; the rest is for the unseen part."""
 
-EXTENT_IN_NETWORK_UNITS = 1.0 / 1.03
-VOXEL = EXTENT_IN_NETWORK_UNITS / VIEW_VOXELS
+VOXEL = 1.0 / MARGIN / VIEW_VOXELS
+"""Side of a voxel, network units."""
 LOGIT_SLOPE = 0.02
 """Network units per logit; `SdfLoss.temperature` divides by it again."""
 

@@ -61,6 +61,7 @@ class Candidate:
         kind: Kind of its seed, "side" or "top".
         closing_slack: The same as `obstacle_slack` while the hand closes [m]; infinite if not
             checked.
+        has_prior: Whether the objective includes the prior; only such objectives compare.
     """
 
     x: Array
@@ -75,6 +76,7 @@ class Candidate:
     reason: str
     kind: str = ""
     closing_slack: float = np.inf
+    has_prior: bool = True
 
     def is_fallback(self, config: AcceptanceConfig) -> bool:
         """Whether the open hand meets all constraints, and success probability, objective or the

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
+from pointsdf_cli.choices import TOP
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.signed_distance import sample_surface
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.objective import ALPHA, BETA, GraspScore
-from pointsdf_cli.planning.option_checks import KINDS
 from pointsdf_cli.planning.screen import lowest
 from pointsdf_cli.planning.seeds import UnsolvedGrasps
 from pointsdf_cli.planning.target import Target, surface_of
@@ -107,7 +107,7 @@ class AntipodalSampler:
         """Preshape joints [N, K] and T_world_palm [N, 4, 4] of at most `count` grasps."""
         palms = self._palms(TRIES * count, rng)
         from_top = palms[:, 2, 0] < -DOWNWARDS
-        palms = palms[from_top == (kind == KINDS[1])]
+        palms = palms[from_top == (kind == TOP)]
         palms = palms[lowest(self._outline[None], palms) >= self._floor][:count]
         return np.tile(self._jaws.preshape, (len(palms), 1)), palms
 

@@ -202,8 +202,9 @@ class GraspProblem:
         return np.where(self.is_object, self.clearances.object, of_bodies)
 
     def _movable(self) -> NDArray[np.bool_]:
-        """Mask of the distances that the variables can change."""
-        moved = self.variables.derivatives(self._jacobian.moved.astype(float)) != 0
+        """Mask of the distances that the variables can change: a driven joint moves one of the
+        two links without the other."""
+        moved = self._jacobian.moved[:, self.variables.driven]
         link = np.concatenate([self.object.link, self.bodies.link])
         return np.asarray((moved[link] != moved[self._other]).any(axis=1))
 

@@ -10,7 +10,6 @@ from pointsdf_cli.errors import InputError
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = get_args(choices.Method)
-KINDS = ("side", "top")
 
 SLOWEST = 0.001
 """Least share of the joints' speed limits: a motion then takes an hour."""

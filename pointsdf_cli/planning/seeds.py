@@ -13,12 +13,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.option_checks import KINDS
 from pointsdf_cli.planning.reasons import SeedStatistics
 from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
@@ -121,9 +121,9 @@ def draw_seeds(
         InputError: `kind` is neither "side" nor "top" nor "either".
     """
     config = config or SeedConfig()
-    if kind not in (*KINDS, EITHER):
-        raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join((*KINDS, EITHER)))
-    wanted = KINDS if kind == EITHER else (kind,)
+    if kind not in (*GRASP_KINDS, EITHER):
+        raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join((*GRASP_KINDS, EITHER)))
+    wanted = GRASP_KINDS if kind == EITHER else (kind,)
     each = max(config.drawn, config.palms) // len(wanted)
     draws = [prior.sample(one, each, rng) for one in wanted]
     preshape, palm = (np.concatenate(part) for part in zip(*draws, strict=True))

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 
 ITERATIONS = 100
@@ -30,6 +31,7 @@ class Slsqp:
     def _one(self, problem: Problem, start: Array, iterations: int) -> tuple[Array, bool, int]:
         @lru_cache(maxsize=1)
         def evaluated(point: bytes) -> Evaluation:
+            stop_if_cancelled()
             return problem.evaluate_grouped(np.frombuffer(point)[None])
 
         def at(x: Array) -> Evaluation:

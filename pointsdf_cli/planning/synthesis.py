@@ -203,7 +203,8 @@ def _solved(
         order = np.lexsort((found.objective, violated))
         kinds = [seeds.kinds[k] for k in order]
         candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
-    best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
+    good = [c for c in [*accepted, *candidates] if c.has_prior and not c.reason]
+    best = min((c.objective for c in good), default=np.inf)
     _polish(problems, candidates, best, solver, config, timings)
     return candidates
 
@@ -230,7 +231,8 @@ def _judged(
     quick, exact = (p.with_score(unsolved.score) for p in (problems.quick, problems.exact))
     drawn = draw_seeds(quick, unsolved.sampler, kinematics, kind, rng, config.seeds)
     candidates = judge(exact, drawn.x, config.acceptance, drawn.kinds)
-    return [c for c in candidates if c.worst_slack >= 0]
+    has_prior = unsolved.score is problems.exact.objective.score
+    return [replace(c, has_prior=has_prior) for c in candidates if c.worst_slack >= 0]
 
 
 def _polish(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array
@@ -48,6 +49,11 @@ class Variables:
     def count(self) -> int:
         """Number of variables, n."""
         return len(self.columns)
+
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """Mask [J] of the joints that the variables move, followers included."""
+        return (self._spread != 0).any(axis=0)
 
     def configuration(self, x: Array) -> Array:
         """Configurations q [..., J] of variables x [..., n]."""

@@ -9,10 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.sensor_presets import without_ideal
+from pointsdf_cli.camera.sensor_presets import with_sensor_parameters
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
+from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, Grasps
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.heuristic import HeuristicConfig
 from pointsdf_cli.simulation.observe import CameraPlacement
@@ -50,9 +51,9 @@ class AttemptConfig:
         return replace(self, hand_alone=False, physics=PhysicsConfig())
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
+        """Settings for `config_json`."""
         plain = asdict(self)
-        return plain | {"placement": without_ideal(plain["placement"])}
+        return plain | {"placement": with_sensor_parameters(plain["placement"])}
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class PlannedPreshape:
     """A preshape that a planner proposes.
 
     Attributes:
-        kind: One of `KINDS`.
+        kind: One of `GRASP_KINDS`.
         T_world_palm: [4, 4].
         q: [J], its configuration.
     """
@@ -148,7 +149,7 @@ def as_grasps(attempts: list[Attempt]) -> Grasps:
         T_world_palm=np.array([a.T_world_palm for a in attempts], np.float64),
         q=np.array([a.reach.q for a in attempts], np.float64),
         label=np.array([a.label for a in attempts], np.int8),
-        kind=np.array([KINDS.index(a.kind) for a in attempts], np.int8),
+        kind=np.array([GRASP_KINDS.index(a.kind) for a in attempts], np.int8),
         cause=np.array([CAUSES.index(a.cause) for a in attempts], np.int8),
         lift_height=measured("lift_height"),
         slip=measured("slip"),

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from pointsdf_cli.choices import SIDE
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
@@ -19,7 +20,6 @@ from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.grasps import (
     CAUSES,
-    KINDS,
     LOST,
     NO_CONFIGURATION,
     NO_MOTION,
@@ -155,7 +155,7 @@ class Attempter:
         proposed, which = self._proposed[1], index % SCENE_ATTEMPTS
         chain, home = self._reacher.chain, self.robot.home
         if which >= len(proposed):
-            return KINDS[0], chain.palm(home), Reach(NO_CONFIGURATION, "no_plan", home)
+            return SIDE, chain.palm(home), Reach(NO_CONFIGURATION, "no_plan", home)
         one = proposed[which]
         self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
         cause = start_cause(self.checks.collisions(one.q))

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pointsdf_cli.choices import SIDE, TOP
 from pointsdf_cli.geometry.arrays import Array
-
-SIDE, TOP = "side", "top"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pointsdf_cli.choices import SIDE, TOP
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.robot.arm_chain import ArmChain
@@ -17,7 +18,7 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.jaws import Jaws, jaws_of
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
-from pointsdf_cli.simulation.faces import SIDE, TOP, Box, Face, graspable_faces, upright_box
+from pointsdf_cli.simulation.faces import Box, Face, graspable_faces, upright_box
 from pointsdf_cli.simulation.jaw_palms import jaw_palm, small_rotation, snug_box
 
 TOP_STANDOFF = 0.035

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pointsdf_cli.choices import TOP
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import cross_matrix, transform
 from pointsdf_cli.robot.jaws import Jaws
-from pointsdf_cli.simulation.faces import TOP, Box, Face, box_along
+from pointsdf_cli.simulation.faces import Box, Face, box_along
 
 DEPTH_NOISE = 0.012
 """Standard deviation of how deep the object is between the jaws [m]."""

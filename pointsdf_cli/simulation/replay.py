@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.errors import RgraspError
-from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, LOST, Grasps, GraspsMeta
+from pointsdf_cli.io.grasps import CAUSES, HELD, LOST, Grasps, GraspsMeta
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempter import Attempter
@@ -60,7 +61,7 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
         made = "it was made with another version of rgrasp or PyBullet"
         raise RgraspError(what, where=task.out, hint=f"{made}; collect it again with --force")
     rise = f"rose {100 * outcome.lift_height:.1f} cm"
-    title = f"{task.name}, {KINDS[grasps.kind[row]]}: {cause}, {rise}"
+    title = f"{task.name}, {GRASP_KINDS[grasps.kind[row]]}: {cause}, {rise}"
     start = (grasps.q[row], grasps.T_world_object[row])
     moving = [(moment.phase, (moment.q, moment.T_world_object)) for moment in recorder.moments]
     last = dict(moving)

@@ -33,12 +33,11 @@ class Workers:
     Attributes:
         rank: Rank of this process, from 0.
         count: Number of processes.
-        local_rank, local_count: Rank and number among the processes of this machine.
+        local_count: Number of processes of this machine.
     """
 
     rank: int = 0
     count: int = 1
-    local_rank: int = 0
     local_count: int = 1
 
     @property
@@ -130,6 +129,6 @@ def join_workers(device: str) -> Iterator[tuple[Workers, str]]:
         torch.cuda.set_device(local_rank)
     dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=PATIENCE)
     try:
-        yield Workers(int(os.environ["RANK"]), count, local_rank, local_count), device
+        yield Workers(int(os.environ["RANK"]), count, local_count), device
     finally:
         dist.destroy_process_group()

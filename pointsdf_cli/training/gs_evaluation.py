@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.training import gs_metrics
 from pointsdf_cli.training.gs_data import GraspData
@@ -96,7 +97,7 @@ def describe_grasps(data: GraspData, rows: NDArray[np.int64]) -> dict[str, Any]:
     label, kind = data.label[rows], data.kind[rows]
     objects, base_rate = len(np.unique(data.object_of[rows])), float(label.mean())
     found: dict[str, Any] = {"objects": objects, "grasps": len(rows), "base_rate": base_rate}
-    for number, name in enumerate(("side", "top")):
+    for number, name in enumerate(GRASP_KINDS):
         of_kind = label[kind == number]
         found[name] = {"grasps": len(of_kind), "base_rate": _share(of_kind)}
     return found

@@ -262,7 +262,7 @@ class _Run:
         with state_as_input_error():
             if state["config"] != asdict(self._config):
                 raise InputError("began with other settings", hint="leave --resume out")
-            if state.get("data", self._data_hash) != self._data_hash:
+            if state["data"] != self._data_hash:
                 raise InputError(
                     "began with other grasps, or with other objects held out",
                     hint="leave --resume out",

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from sklearn.mixture import GaussianMixture
 from torch import Tensor
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
+from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
 
 FLOORS = (0.1, 0.1, 0.1)
 """Smallest standard deviations, whose squares are added to the fitted variances: of the offset (in
@@ -37,7 +38,7 @@ def fit_prior(
     Args:
         preshape: [N, K], rad.
         T_world_palm: [N, 4, 4].
-        kind: [N], indices into `KINDS`.
+        kind: [N], indices into `GRASP_KINDS`.
         places: Places of the N grasps' objects.
         ranges: [K, 2], ranges of the preshape joints.
         shares: Relative frequency of each kind; its frequency in the data if None.
@@ -48,7 +49,7 @@ def fit_prior(
     joints = preshape.shape[1]
     size = 6 + joints
     floors = np.repeat(FLOORS, (3, 3, joints))
-    weights = np.array([(kind == k).sum() for k in range(len(KINDS))], dtype=float)
+    weights = np.array([(kind == k).sum() for k in range(len(GRASP_KINDS))], dtype=float)
     few = weights < FEWEST
     weights = weights if shares is None else np.asarray(shares, dtype=float)
     weights[few] = 0.0
@@ -58,9 +59,9 @@ def fit_prior(
             allowed=f"{FEWEST} or more executed ones of one kind, of objects that are not held out",
             hint="collect more: rgrasp collect-grasps with a larger --count, into the same folder",
         )
-    rotations = torch.eye(3, dtype=torch.float64).repeat(len(KINDS), 1, 1)
-    means = torch.zeros(len(KINDS), size, dtype=torch.float64)
-    factors = torch.eye(size, dtype=torch.float64).repeat(len(KINDS), 1, 1)
+    rotations = torch.eye(3, dtype=torch.float64).repeat(len(GRASP_KINDS), 1, 1)
+    means = torch.zeros(len(GRASP_KINDS), size, dtype=torch.float64)
+    factors = torch.eye(size, dtype=torch.float64).repeat(len(GRASP_KINDS), 1, 1)
     prior = GraspPrior(
         torch.tensor(weights / weights.sum()), rotations, means, factors, torch.tensor(ranges)
     )

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from pointsdf_cli.choices import Encoder, Mode, require_choice
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.choices import GRASP_KINDS, Encoder, Mode, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.checkpoints import read_checkpoint, read_config
@@ -30,7 +31,7 @@ from pointsdf_cli.models.grasp_checkpoint import (
     weights_hash,
 )
 from pointsdf_cli.models.grasp_features import GraspFeatures
-from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
+from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
 from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
@@ -240,7 +241,7 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
     places = places_of(data, robot)
 
     held = free & (data.label == 1)
-    counts = np.array([(held & (data.kind == k)).sum() for k in range(len(KINDS))])
+    counts = np.array([(held & (data.kind == k)).sum() for k in range(len(GRASP_KINDS))])
     chosen = np.where(counts[data.kind] >= FEWEST, held, free)
     # Fit to all grasps if no kind has enough successes.
     shares = np.maximum(counts, 1) if (counts >= FEWEST).any() else None
@@ -250,15 +251,14 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
 
 
 def reconstruction_of(variant: Variant, sdf: Path | None) -> Path:
+    """Checkpoint of a variant's reconstruction network: the given one, else a bundled one.
+
+    Raises:
+        InputError: The given one is of another architecture.
+    """
     if sdf is None:
-        if variant.encoder == VOXELCNN:
-            raise InputError(
-                "no trained VoxelCNN is bundled",
-                where="--encoder voxelcnn",
-                allowed="--sdf with a checkpoint of train-sdf --model voxelcnn, or --mode scratch",
-                hint="rgrasp train-sdf --views DIR --labels DIR --model voxelcnn --out CKPT",
-            )
-        return default_checkpoint()
+        is_voxels = variant.encoder == VOXELCNN
+        return asset_path("weights/voxelcnn") if is_voxels else default_checkpoint()
     found = load_model(sdf).architecture
     if found not in ARCHITECTURES[variant.encoder]:
         raise InputError(

@@ -11,19 +11,16 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.training.checks import option_of
 from pointsdf_cli.training.sdf_config import LOSSES, SdfLoss, TrainConfig
 
-POINTSDF: dict[str, dict[str, Any]] = {
-    "paper": {},
-    "small": {
-        "centres": (256, 96, 32, 12),
-        "neighbours": (24, 16, 16, 12),
-        "mlps": ((32, 64), (64, 128), (96, 192), (128, 256)),
-        "weight_channels": 8,
-        "query_width": 256,
-        "head": (256, 256, 256),
-        "tail": (256, 256, 256),
-    },
+SMALL_POINTSDF: dict[str, Any] = {
+    "centres": (256, 96, 32, 12),
+    "neighbours": (24, 16, 16, 12),
+    "mlps": ((32, 64), (64, 128), (96, 192), (128, 256)),
+    "weight_channels": 8,
+    "query_width": 256,
+    "head": (256, 256, 256),
+    "tail": (256, 256, 256),
 }
-"""Architecture of `pointsdf` in each preset."""
+"""Architecture of `pointsdf` in preset `small`; that of `paper` is the default."""
 SIDEWAYS = 1e-3
 """`sideways` of `pointsdf-ray` (`experiments/symmetric_point_distance.py --sideways`)."""
 PAPER_EPOCHS = 100
@@ -45,7 +42,7 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     if name == "paper":
         if model == "pointsdf-ray":
             raise InputError("pointsdf-ray is not in the paper", where="--preset", allowed="small")
-        return dict(POINTSDF["paper"]) if model == "pointsdf" else {}, TrainConfig(
+        return {}, TrainConfig(
             batch_size=16,
             learning_rate=1e-5,
             schedule="constant",
@@ -60,7 +57,7 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     if model == "voxelcnn":
         return {}, TrainConfig(loss=SdfLoss("sign", sign_weight=1.0))
     if model == "pointsdf":
-        return dict(POINTSDF["small"]), TrainConfig()
+        return dict(SMALL_POINTSDF), TrainConfig()
     evidence = {"revolution": True, "sideways": SIDEWAYS, "box": True, "surroundings": True}
     return evidence, TrainConfig()
 

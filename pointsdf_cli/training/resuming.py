@@ -6,7 +6,6 @@ of other data, and torch fails at that in many ways, sometimes steps later.
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,7 +15,6 @@ from typing import Any
 import torch
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models.rebuildable import plain
 from pointsdf_cli.models.shape_model import ShapeModel
 
 LATER = ("steps", "minutes", "validate_every")
@@ -94,11 +92,7 @@ def require_same_run(
     Raises:
         InputError: The settings that differ, with both values.
     """
-    # An argument that is missing in the run had its default.
-    parameters = inspect.signature(type(model)).parameters.values()
-    defaults = {p.name: plain(p.default) for p in parameters if p.default is not p.empty}
-    arguments = {**defaults, **state.get("arguments", {})}
-    found = {"model": state.get("architecture"), **arguments, **state["config"]}
+    found = {"model": state["architecture"], **state["arguments"], **state["config"]}
     wanted = {"model": model.architecture, **model.config(), **config}
     differing = [name for name in wanted if name in found and found[name] != wanted[name]]
     differing = [name for name in differing if name not in LATER]
@@ -118,7 +112,7 @@ def require_same_data(state: Mapping[str, Any], learned_from: str, out: Path | s
     Raises:
         InputError: One of these differs.
     """
-    if state.get("data", learned_from) != learned_from:
+    if state["data"] != learned_from:
         raise InputError(
             "was trained on other data, or with another part of it held out",
             where=out,

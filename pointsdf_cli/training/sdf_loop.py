@@ -280,9 +280,8 @@ class _Run:
             put_back_optimiser(self._optimiser, state["optimiser"])
             self.average.load(state["average"])
             self.step, self.seconds, self.history = progress_of(state, "step", "object_loss")
-            # States of earlier versions lack these: the first mean loss covers later steps only.
-            self._loss_count = max(0, int(state.get("since_validation", 0)))
-            self._loss_sum = float(state.get("total", 0.0))
+            self._loss_count = max(0, int(state["since_validation"]))
+            self._loss_sum = float(state["total"])
 
 
 def _require_enough_clouds(

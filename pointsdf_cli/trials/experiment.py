@@ -104,11 +104,15 @@ def write_results(
 def _reasons(tasks: Mapping[str, TrialTask], refused: Mapping[str, InputError]) -> dict[str, str]:
     """Reasons of refused trials, by object; with their number, unless all of it are refused."""
     objects = Counter(task.trial.object.name for task in tasks.values())
-    told = Counter((tasks[name].trial.object.name, str(error)) for name, error in refused.items())
+    told: dict[str, Counter[str]] = {}
+    for name, error in refused.items():
+        told.setdefault(tasks[name].trial.object.name, Counter())[str(error)] += 1
     reasons = {}
-    for (item, why), count in told.items():
-        part = "" if count == objects[item] else f", {count} of {objects[item]} trials"
-        reasons[f"{item}{part}"] = why
+    for item, counts in told.items():
+        refusals, trials = counts.total(), objects[item]
+        part = "" if refusals == trials else f", {refusals} of {trials} trials"
+        each = [why if len(counts) == 1 else f"{why} ({count})" for why, count in counts.items()]
+        reasons[f"{item}{part}"] = "; ".join(each)
     return reasons
 
 

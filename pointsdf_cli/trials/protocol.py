@@ -18,8 +18,8 @@ from pointsdf_cli.choices import Method, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import find_meshes
 from pointsdf_cli.objects.stand_ins import STAND_INS
+from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 
-RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = get_args(Method)
 CAMERAS = {"high": 0.85, "low": 0.40}
 """Heights above the table [m], 0.45 m apart as in the paper; the low one sees less."""

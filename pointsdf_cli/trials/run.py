@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
+from pointsdf_cli.camera.sensor_presets import load_sensor, with_sensor_parameters
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
@@ -69,8 +69,8 @@ class TrialConfig:
         load_sensor(self.sensor)
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
-        plain: dict[str, Any] = without_ideal(asdict(self))
+        """Settings for `config_json`."""
+        plain: dict[str, Any] = with_sensor_parameters(asdict(self))
         options = plain["planning"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])

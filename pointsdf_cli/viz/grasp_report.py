@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import atomic_path
-from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, LOST, Grasps, GraspsMeta
+from pointsdf_cli.io.grasps import CAUSES, HELD, LOST, Grasps, GraspsMeta
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.viz import html
 from pointsdf_cli.viz.robot_picture import RobotMeshes
@@ -97,7 +98,7 @@ def grasp_report(
         html.heading("Rates"),
         html.table(("split", "kind", *counts), _rates(items)),
         html.heading("What became of the attempts"),
-        html.table(("cause", *KINDS), _causes(items)),
+        html.table(("cause", *GRASP_KINDS), _causes(items)),
     ]
     if strips:
         parts.append(html.heading("Before, closed, gripped, lifted, settled"))
@@ -125,7 +126,7 @@ def _rates(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[object
     rows: list[tuple[object, ...]] = []
     for split in ("train", "test"):
         of_split = [grasps for _, grasps, meta in items if meta.split == split]
-        for i, kind in enumerate(KINDS):
+        for i, kind in enumerate(GRASP_KINDS):
             labels = [grasps.label[grasps.kind == i] for grasps in of_split]
             rows.append((split, kind, *_counts(np.concatenate([[], *labels]))))
     return rows
@@ -138,7 +139,7 @@ def _counts(label: NDArray) -> tuple[int, int, int, str]:
 
 
 def _causes(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[object, ...]]:
-    counts = np.zeros((len(CAUSES), len(KINDS)), dtype=int)
+    counts = np.zeros((len(CAUSES), len(GRASP_KINDS)), dtype=int)
     for _, grasps, _ in items:
         np.add.at(counts, (grasps.cause, grasps.kind), 1)
     return [(cause, *map(int, row)) for cause, row in zip(CAUSES, counts, strict=True)]

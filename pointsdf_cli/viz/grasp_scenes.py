@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pointsdf_cli.choices import GRASP_KINDS
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
-from pointsdf_cli.io.grasps import CAUSES, KINDS, read_grasps
+from pointsdf_cli.io.grasps import CAUSES, read_grasps
 from pointsdf_cli.io.plans import OK, read_plan
 from pointsdf_cli.io.trials import read_trial
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
@@ -37,7 +38,7 @@ def grasps_scene(path: Path, options: SceneOptions) -> Scene:
         points = apply_transform(grasps.T_world_camera[k], grasps.cloud[k]).astype(np.float32)
         colours = by_height(points)
         parts.append(Part(f"cloud {k}", "cloud", "points", points, None, colours, frame=frame))
-        cause, kind = CAUSES[grasps.cause[k]], KINDS[grasps.kind[k]]
+        cause, kind = CAUSES[grasps.cause[k]], GRASP_KINDS[grasps.kind[k]]
         captions.append(f"attempt {int(grasps.attempt[k])}: {kind}, {cause}")
     others = np.stack([grasps.T_world_object, grasps.T_world_palm], axis=1)
     poses = np.concatenate([robot.poses(grasps.q[chosen]), others[chosen]], axis=1)
