@@ -250,6 +250,23 @@ def test_motions_are_searched_for_the_likeliest_few(
     ]
 
 
+def test_objectives_without_prior_do_not_decide_what_is_solved_again(
+    can_plan: Synthesis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits = []
+    monkeypatch.setattr(synthesis, "_polish", lambda _problems, _new, best, *_: limits.append(best))
+    monkeypatch.setattr(synthesis, "judge", lambda *_: [])
+    score = NearPalm((CAN[0] - 0.09, 0.0, CAN[2]), (1.0, 0.0, 0.0), REST)
+    whole = problems(CylinderField(RADIUS, 0.24, CAN), score, Environment(), CAN)
+    seeds = Seeds(can_plan.accepted[0].x[None], ("side",), SeedStatistics(1, 1, 1))
+    solved = replace(can_plan.accepted[0], objective=2.0)
+    antipodal = replace(solved, objective=0.0, has_prior=False)
+    timings = dict.fromkeys(("solve", "check"), 0.0)
+    for accepted in ([solved, antipodal], [antipodal]):
+        synthesis._solved(whole, seeds, accepted, Sqp(), SynthesisConfig(), timings)
+    assert limits == [2.0, np.inf]
+
+
 def with_solutions(
     given: list[Candidate], monkeypatch: pytest.MonkeyPatch
 ) -> tuple[Synthesis, int]:
