@@ -226,7 +226,7 @@ def test_numbers_stay_when_the_world_moves_with_the_target(scene: list[Any]) -> 
     listing = list_objects(scene[0], options(scene), "table")
     for thing in listing.objects:
         found = segmented_view(scene[0], options(scene), "table", str(thing.number), None, None)
-        assert f"object {thing.number} of {len(listing.objects)}" in " ".join(found.said)
+        assert f"object {thing.number} of {len(listing.objects)}" in " ".join(found.notes)
 
 
 def test_numbers_count_what_lies_where_the_robot_would_stand(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_numbers_count_what_lies_where_the_robot_would_stand(tmp_path: Path) -> 
     assert [thing.number for thing in listing.objects] == [1, 2, 3]
     for number, count in listing.points.items():
         found = segmented_view(given[0], options(given), "table", str(number), None, None)
-        assert f"kept {count} of" in " ".join(found.said)
+        assert f"kept {count} of" in " ".join(found.notes)
 
 
 def test_a_pixel_outside_the_image_is_refused(scene: list[Any]) -> None:

@@ -19,9 +19,9 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.models.checkpoint_kinds import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import (
+    other_training_reconstruction,
     read_grasp_checkpoint,
-    reconstruction_for,
-    reconstruction_of_training,
+    reconstruction_to_plan_with,
     write_grasp_checkpoint,
 )
 from pointsdf_cli.models.grasp_features import GraspFeatures
@@ -339,19 +339,21 @@ def test_world_points_reach_the_field_in_the_world() -> None:
 
 def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:
     bundled = default_checkpoint().parent
-    assert reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf_plan") is None
-    other = reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf")
+    assert (
+        other_training_reconstruction(bundled / "grasp_geometry", bundled / "pointsdf_plan") is None
+    )
+    other = other_training_reconstruction(bundled / "grasp_geometry", bundled / "pointsdf")
     assert str(other) == "bundled:pointsdf_plan"
     # Each bundled robot's plans read the network that its success weights were trained on.
     learned = {
-        robot: reconstruction_for(bundled_success(load_robot(robot))).name
+        robot: reconstruction_to_plan_with(bundled_success(load_robot(robot))).name
         for robot in bundled_robots()
     }
     assert learned == {
         "lbr4_allegro": "pointsdf_plan", "lbr4_barrett": "pointsdf_plan", "panda": "pointsdf_plan",
         "ur5e_2f85": "pointsdf_plan",
     }  # fmt: skip
-    assert reconstruction_for(None) == default_checkpoint()
-    assert reconstruction_for(bundled / "grasp_scratch") == default_checkpoint()
+    assert reconstruction_to_plan_with(None) == default_checkpoint()
+    assert reconstruction_to_plan_with(bundled / "grasp_scratch") == default_checkpoint()
     # One that brings its encoder along reads no field.
-    assert reconstruction_of_training(bundled / "grasp_scratch", bundled / "pointsdf") is None
+    assert other_training_reconstruction(bundled / "grasp_scratch", bundled / "pointsdf") is None

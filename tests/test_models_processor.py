@@ -16,11 +16,11 @@ from torch import Tensor
 from pointsdf_cli.models.processor import (
     ALIGNED,
     FEWEST,
-    at_once,
     even_parts,
     in_steps,
+    map_in_parallel,
     one_blas_thread,
-    side_by_side,
+    run_in_parallel,
     timed,
     use_threads,
 )
@@ -49,7 +49,7 @@ def test_every_part_is_answered_in_order_by_more_than_one_thread() -> None:
         assert torch.get_num_threads() == 1
         return 2 * part
 
-    answers = torch.cat(side_by_side(doubled, PARTS))
+    answers = torch.cat(map_in_parallel(doubled, PARTS))
     assert torch.equal(answers.ravel(), 2 * torch.arange(40.0))
     assert torch.get_num_threads() == 2
 
@@ -59,7 +59,7 @@ def test_every_part_is_answered_in_order_by_more_than_one_thread() -> None:
 def test_the_callers_autocast_and_gradient_mode_hold(reduced: bool, gradients: bool) -> None:
     weight = torch.ones(1, 1, requires_grad=True)
     with torch.set_grad_enabled(gradients), torch.autocast("cpu", torch.bfloat16, enabled=reduced):
-        answers = side_by_side(lambda part: part @ weight, PARTS)
+        answers = map_in_parallel(lambda part: part @ weight, PARTS)
     assert {a.dtype for a in answers} == {torch.bfloat16 if reduced else torch.float32}
     assert {a.requires_grad for a in answers} == {gradients}
 
@@ -79,16 +79,18 @@ def test_an_error_in_a_part_is_the_callers_and_ends_the_work(who: str) -> None:
         return part
 
     with pytest.raises(ValueError, match="no"):
-        side_by_side(fails, torch.zeros(400, 1).split(1))
+        map_in_parallel(fails, torch.zeros(400, 1).split(1))
     assert len(begun) <= 3
     assert torch.get_num_threads() == 2
 
 
 def test_helpers_are_in_inference_mode_too() -> None:
     with torch.inference_mode():
-        answers = side_by_side(lambda part: part + 1, PARTS)
+        answers = map_in_parallel(lambda part: part + 1, PARTS)
     assert all(answer.is_inference() for answer in answers)
-    assert not any(answer.is_inference() for answer in side_by_side(lambda part: part + 1, PARTS))
+    assert not any(
+        answer.is_inference() for answer in map_in_parallel(lambda part: part + 1, PARTS)
+    )
 
 
 def test_the_calling_thread_works_too() -> None:
@@ -100,7 +102,7 @@ def test_the_calling_thread_works_too() -> None:
             both.wait(10)
         return part
 
-    side_by_side(where, PARTS)
+    map_in_parallel(where, PARTS)
     assert here in seen
     assert len(seen) == 2
 
@@ -113,9 +115,9 @@ def test_one_part_or_one_thread_stays_here() -> None:
         assert torch.get_num_threads() == 1  # nobody waits for anybody inside an operation
         return part
 
-    side_by_side(where, PARTS[:1])
+    map_in_parallel(where, PARTS[:1])
     torch.set_num_threads(1)
-    side_by_side(where, PARTS)
+    map_in_parallel(where, PARTS)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2 * FEWEST - 1, 2 * FEWEST, 4097, 8192, 20_001])
@@ -163,7 +165,7 @@ def test_tasks_run_at_once_with_one_thread_each() -> None:
         both.wait()
         return number, torch.get_num_threads()
 
-    assert at_once([lambda k=k: task(k) for k in range(2)]) == [(0, 1), (1, 1)]
+    assert run_in_parallel([lambda k=k: task(k) for k in range(2)]) == [(0, 1), (1, 1)]
     assert torch.get_num_threads() == 2
 
 
@@ -175,19 +177,19 @@ def test_a_tasks_error_is_the_callers_after_the_others_end() -> None:
         ended.append(True)
 
     with pytest.raises(ZeroDivisionError):
-        at_once([lambda: 1 // 0, late])
+        run_in_parallel([lambda: 1 // 0, late])
     assert ended
 
 
 def test_tasks_see_that_their_caller_is_cancelled() -> None:
     with cancellable(lambda: True), pytest.raises(CancelledError):
-        at_once([stop_if_cancelled, int])
+        run_in_parallel([stop_if_cancelled, int])
 
 
 def test_with_one_thread_tasks_run_here_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     here = threading.get_ident()
-    assert at_once([threading.get_ident, threading.get_ident]) == [here, here]
+    assert run_in_parallel([threading.get_ident, threading.get_ident]) == [here, here]
 
 
 def test_a_timed_task_gives_its_result_and_seconds() -> None:
@@ -252,5 +254,5 @@ def test_openmp_has_one_thread_in_each_of_several() -> None:
         both.wait(10)  # two threads, a part each
         return torch.tensor([openmp_threads()])
 
-    assert [int(one) for one in at_once([counted, counted])] == [1, 1]
-    assert [int(one) for one in side_by_side(counted, PARTS[:2])] == [1, 1]
+    assert [int(one) for one in run_in_parallel([counted, counted])] == [1, 1]
+    assert [int(one) for one in map_in_parallel(counted, PARTS[:2])] == [1, 1]

@@ -21,12 +21,12 @@ from pointsdf_cli.io.clouds import read_cloud, write_cloud
 from pointsdf_cli.planning.object_choice import reach_of
 from pointsdf_cli.planning.plausibility import (
     below_table,
-    doubts,
     from_inside,
     in_parts,
     in_the_air,
     outside_workspace,
     require_table_at_zero,
+    scene_warnings,
     seen_through,
     table_elsewhere,
 )
@@ -54,7 +54,7 @@ def ball(centre: np.ndarray, radius: float, eye: np.ndarray, inner: bool) -> np.
 
 
 def test_a_usual_scene_is_believed() -> None:
-    assert doubts([view(BOX)]) == []
+    assert scene_warnings([view(BOX)]) == []
     assert table_elsewhere(np.concatenate([TABLE, THINGS])) is None
     assert table_elsewhere(BOX) is None  # a cloud that was cut out
     chest = sheet((0.75, 0.0, 0.2), (0.175, 0.25, 0.2))  # its top is as wide as a table
@@ -66,8 +66,10 @@ def test_a_camera_below_the_table_is_doubted() -> None:
     up = look_at((1.2, 0.0, -0.5), (0.6, 0.0, 0.05))
     said = below_table(view(BOX, up), 0.0)
     assert "50 cm below the table" in said
-    assert said in doubts([view(BOX), view(BOX, up)])
-    assert doubts([view(BOX, up)], table=None) == []  # without a table there is none to be below
+    assert said in scene_warnings([view(BOX), view(BOX, up)])
+    assert (
+        scene_warnings([view(BOX, up)], table=None) == []
+    )  # without a table there is none to be below
     assert below_table(view(BOX), 0.0) == ""
 
 
@@ -136,7 +138,7 @@ def test_cameras_that_do_not_see_the_same_are_doubted(shift: float, doubted: boo
         seen = look_at_table([scenes.cloud(depth, pose)], ["a"], load_robot(), load_robot().home)
         views += seen.views
     assert bool(seen_through(views)) == doubted
-    assert bool([one for one in doubts(views) if "saw past" in one]) == doubted
+    assert bool([one for one in scene_warnings(views) if "saw past" in one]) == doubted
 
 
 def test_points_beside_the_other_cameras_window_were_not_seen_past() -> None:

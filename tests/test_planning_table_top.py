@@ -21,7 +21,7 @@ from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.other_cameras import FirstView
 from pointsdf_cli.planning.plan_on_table import plan_on_table
 from pointsdf_cli.planning.planner import PlannerConfig
-from pointsdf_cli.planning.plausibility import table_doubt
+from pointsdf_cli.planning.plausibility import table_warning
 from pointsdf_cli.planning.seen_obstacles import hulls
 from pointsdf_cli.planning.table_top import (
     NoObjectError,
@@ -205,15 +205,15 @@ def test_it_does_not_matter_which_camera_comes_first() -> None:
 def test_a_pose_at_the_wrong_height_is_doubted(off: float, said: str) -> None:
     scene = cloud(np.concatenate([TABLE, THINGS]) + [0.0, 0.0, off])
     seen = look_at_table([scene], ["a"], ROBOT, HOME)
-    doubt = table_doubt(seen.table_height, [in_world(scene)])
+    doubt = table_warning(seen.table_height, [in_world(scene)])
     assert said in doubt
     assert bool(doubt) == bool(said)
 
 
 def test_a_scene_without_anything_at_the_table_is_doubted() -> None:
     aloft = np.concatenate([TABLE, THINGS]) + [0.0, 0.0, 0.8]
-    assert "nothing is seen at z = 0" in table_doubt(None, [aloft])
-    assert table_doubt(None, [THINGS]) == ""
+    assert "nothing is seen at z = 0" in table_warning(None, [aloft])
+    assert table_warning(None, [THINGS]) == ""
 
 
 def test_a_place_and_no_segmentation_contradict_each_other() -> None:
@@ -266,7 +266,7 @@ class Scene:
     robot, shape = ROBOT, None
     options = SimpleNamespace(planner=PlannerConfig())
 
-    def doubts(self) -> list[str]:
+    def scene_warnings(self) -> list[str]:
         return []
 
     def see(self, views: Any, seed: int, table: bool = True) -> object:

@@ -43,7 +43,7 @@ from pointsdf_cli.simulation.collect import (
 )
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.heuristic import SIDE, draw_preshape, hand_of
-from pointsdf_cli.simulation.reach import interpolate
+from pointsdf_cli.simulation.preshape_path import interpolate
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 
 pytest.importorskip("pybullet")
@@ -157,7 +157,7 @@ def side_grasps(
         palm = preshape.T_world_palm.copy()
         palm[:3, 3] += beside * palm[:3, 2]
         attempter.checks.show(item, scene.T_world_object)
-        reach = attempter._reacher(palm, preshape.joints)
+        reach = attempter._path_to(palm, preshape.joints)
         if reach.label != 0:
             continue
         outcome = attempter.execute(item, scene.T_world_object, reach.q, reach.lift)

@@ -87,7 +87,7 @@ def grip(attempter: Attempter) -> Grip:
     joints = np.array([values.get(name, 0.0) for name in attempter.robot.preshape_joints])
     palm = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), PALM)
     attempter.checks.reset()
-    reach = attempter._reacher(palm, joints)
+    reach = attempter._path_to(palm, joints)
     assert reach.label == 0
     return Grip(reach.q, reach.lift)
 

@@ -272,14 +272,17 @@ def say_if_from_another(
         return
 
     from pointsdf_cli.models.checkpoint_kinds import bundled_success
-    from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, reconstruction_of_training
+    from pointsdf_cli.models.grasp_checkpoint import (
+        other_training_reconstruction,
+        reconstruction_to_plan_with,
+    )
     from pointsdf_cli.robot.description import load_robot
 
     success = success or bundled_success(load_robot(files.robot))
     if success is None:  # the robot has no bundled one: planning will ask for it
         return
-    read = checkpoint or reconstruction_for(success)
-    other = reconstruction_of_training(success, read)
+    read = checkpoint or reconstruction_to_plan_with(success)
+    other = other_training_reconstruction(success, read)
     if other is not None:
         reporter.say(
             f"the success network was trained on the reconstruction {other} but reads {read}: its "

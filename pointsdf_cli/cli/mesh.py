@@ -188,7 +188,7 @@ def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -
     cloud, settings, unit = task.cloud, task.settings, task.files.unit
     seen = settings.view(cloud, task.files, task.pose)
     points = seen.points
-    reporter.say(*seen.said)
+    reporter.say(*seen.notes)
     if len(points) < FEW:
         reporter.say(f"{cloud}: {len(points)} points are few: expect a poor shape below {FEW}")
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:

@@ -186,4 +186,4 @@ def _report(
         )
     written = {"the picture": picture, "the motion": trajectory}
     lines += [f"{path}: {what}" for what, path in written.items() if path]
-    reporter.result({**plan_as_json(plan), **result.said(), **files}, lines)
+    reporter.result({**plan_as_json(plan), **result.messages(), **files}, lines)

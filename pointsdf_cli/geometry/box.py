@@ -29,7 +29,7 @@ def thin_directions(points: Array, least: float) -> Array:
     return np.asarray(directions[np.ptp(centred @ directions.T, axis=0) < least])
 
 
-def level_width(points: Array) -> float:
+def horizontal_width(points: Array) -> float:
     """Least width [m] of points [N, 3] of the world over all level directions."""
     angle = np.linspace(0, np.pi, 18, endpoint=False)
     level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])

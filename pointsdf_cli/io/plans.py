@@ -44,12 +44,12 @@ OPTIONAL = {
     "object_faces": Column("i4 [F, 3]", compress=True),
 }
 """The object's surface; absent from plans that were made without it."""
-FACTS: dict[str, type] = {
+ATTRIBUTES: dict[str, type] = {
     "status": str, "reason": str, "sentence": str, "kind": str,
     "success_probability": float, "objective": float, "seeds_tried": int,
 }  # fmt: skip
 """Attributes, with their types."""
-TOLD = (
+JSON_FIELDS = (
     *("status", "reason", "sentence", "kind", "joint_names", "q", "T_world_palm"),
     *("success_probability", "objective", "seeds_tried", "timings", "trajectory", "times", "lift"),
 )
@@ -181,7 +181,7 @@ def write_plan(
         "rejected_reason": plan.rejected.reasons,
         "accepted_kind": plan.accepted.kinds,
     }
-    attributes = {name: getattr(plan, name) for name in FACTS} | {
+    attributes = {name: getattr(plan, name) for name in ATTRIBUTES} | {
         "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
         "rejected_slack_columns": ",".join(SLACKS),
     }
@@ -208,7 +208,7 @@ def read_plan(path: Path | str) -> Plan:
     with attributes_as_input_error(path):
         data = artifact.values
         return Plan(
-            **{name: of(facts[name]) for name, of in FACTS.items()},
+            **{name: of(facts[name]) for name, of in ATTRIBUTES.items()},
             **{name: data[name] for name in Plan.__dataclass_fields__ if name in data},
             timings=dict(json.loads(facts["timings_json"])),
             # The layout has their datasets in the order of their fields.
@@ -225,7 +225,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
     clearances = _rows(object=plan.link_clearance_object, table=plan.link_clearance_table)
     told: dict[str, Any] = plain(
         {
-            **{name: getattr(plan, name) for name in TOLD},
+            **{name: getattr(plan, name) for name in JSON_FIELDS},
             **({} if plan.status == OK else {"q": None, "T_world_palm": None}),
             "link_clearance": dict(zip(plan.link_names, clearances, strict=True)),
             "accepted": _rows(

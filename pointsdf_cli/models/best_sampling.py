@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.cloud_sampling import all_but_every, systematic_sample
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.normalise import NetworkFrame, network_frame
-from pointsdf_cli.models.processor import at_once, one_thread
+from pointsdf_cli.models.processor import one_thread, run_in_parallel
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
 
@@ -73,7 +73,7 @@ def best_sampling(
         sampling = _read(model, part, evidence, own)
         return _inside_behind(model, sampling, points), sampling
 
-    others = at_once([partial(tried, *each) for each in zip(parts, seeds, strict=True)])
+    others = run_in_parallel([partial(tried, *each) for each in zip(parts, seeds, strict=True)])
     return max([(share, first), *others], key=lambda found: found[0])[1]
 
 

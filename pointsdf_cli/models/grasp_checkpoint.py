@@ -278,7 +278,7 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
     return path
 
 
-def reconstruction_for(grasp_checkpoint: Path | str | None) -> Path:
+def reconstruction_to_plan_with(grasp_checkpoint: Path | str | None) -> Path:
     """Reconstruction network to plan with: the bundled one that the success network was trained
     on, if it names one; else the default one.
 
@@ -292,7 +292,7 @@ def reconstruction_for(grasp_checkpoint: Path | str | None) -> Path:
     return default_checkpoint()
 
 
-def reconstruction_of_training(
+def other_training_reconstruction(
     grasp_checkpoint: Path | str, sdf_checkpoint: Path | str
 ) -> Path | None:
     """Reconstruction that a success network on geometry was trained with, if not `sdf_checkpoint`.

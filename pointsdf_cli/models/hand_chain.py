@@ -35,9 +35,9 @@ class HandChain:
     """
 
     def __init__(self, robot: RobotDescription, wanted: Collection[str]) -> None:
-        carry = {link for link in robot.hand_links if {*wanted} & {*robot.tree.carried([link])}}
+        carry = {link for link in robot.hand_links if {*wanted} & {*robot.tree.subtree([link])}}
         self.links = tuple(link for link in robot.hand_links if link in {robot.palm_link, *carry})
-        joints = [robot.tree.above[link] for link in self.links[1:]]
+        joints = [robot.tree.parent_joint[link] for link in self.links[1:]]
 
         def constant(array: Array) -> Tensor:
             return torch.tensor(array, dtype=torch.float32)[..., None]
@@ -59,7 +59,7 @@ class HandChain:
         self.moved_link = torch.tensor([number.get(joint.child, 0) for joint in joints])
         self.axes = torch.tensor(np.array([joint.axis for joint in joints]), dtype=torch.float32)
         self.slides = torch.tensor(robot.slides[len(robot.arm_joints) :])
-        moved = [robot.tree.carried([joint.child]) for joint in joints]
+        moved = [robot.tree.subtree([joint.child]) for joint in joints]
         self.below = torch.tensor([[float(link in one) for link in self.links] for one in moved])
 
     def __call__(self, q: Tensor) -> tuple[Tensor, Tensor]:

@@ -206,7 +206,7 @@ class HandSweep:
         surface: Mapping[str, NDArray[np.float64]],
         ahead: Callable[[int], Motion],
     ) -> None:
-        moved = set(robot.tree.beyond(robot.closing_joints))
+        moved = set(robot.tree.links_moved_by(robot.closing_joints))
         shown = {k: link for k, link in enumerate(self._chain.links) if link in surface}
         per_pad, per_link = self.config.points_per_pad, self.config.points_per_link
         pads = {

@@ -159,7 +159,7 @@ ALIGNED = 64
 values must not depend on the number of threads."""
 
 
-def at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
+def run_in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Run tasks side by side, each on one of PyTorch's threads; return their results in order.
 
     For tasks of many short operations, which are not faster when each is split between threads.
@@ -186,7 +186,7 @@ def timed(task: Callable[..., T], *arguments: Any) -> tuple[T, float]:
 
 
 @contextmanager
-def lap(timings: dict[str, float], stage: str) -> Iterator[None]:
+def timed_stage(timings: dict[str, float], stage: str) -> Iterator[None]:
     """Context whose duration [s] is added to that of a stage."""
     began = time.perf_counter()
     yield
@@ -215,7 +215,7 @@ def in_steps(rows: Tensor, step: int) -> Tensor:
     return torch.cat([rows, rows[-1:].expand(missing, *rows.shape[1:])]) if missing else rows
 
 
-def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:
+def map_in_parallel(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:
     """Compute `[function(part) for part in parts]`, each part in one of PyTorch's threads.
 
     PyTorch itself splits each operation, and its threads wait for each other at the end of every

@@ -22,7 +22,7 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.best_sampling import SAMPLINGS, best_sampling, float_tensor
-from pointsdf_cli.models.processor import even_parts, fast_products, in_steps, side_by_side
+from pointsdf_cli.models.processor import even_parts, fast_products, in_steps, map_in_parallel
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 
@@ -162,7 +162,7 @@ class Reconstruction:
             return self.model.decode(encoding, in_steps(part, step)[None])[0, : len(part)]
 
         with torch.autocast(places.device.type, dtype, enabled=dtype is not None):
-            values = side_by_side(values_of, parts)
+            values = map_in_parallel(values_of, parts)
         return self._distances(values, np.shape(x)[:-1])
 
     def _network_sdf_and_gradient(
@@ -175,7 +175,7 @@ class Reconstruction:
                 (gradient,) = torch.autograd.grad(value.sum(), place)
             return torch.cat([value[0].detach()[:, None], gradient[0]], dim=1)
 
-        parts = side_by_side(both, even_parts(self._to_network(x), chunk))
+        parts = map_in_parallel(both, even_parts(self._to_network(x), chunk))
         shape = np.shape(x)
         in_camera = torch.cat([part[:, 1:] for part in parts]).cpu().numpy()
         # Distances and coordinates scale alike, so the gradient is only rotated.

@@ -11,7 +11,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 from pointsdf_cli.io.one_thread import one_thread_each
 
 # pykdtree splits each search over threads of its own OpenMP, as many as are set when it is loaded.
-# Queries are split already (`processor.side_by_side`): more threads would only compete.
+# Queries are split already (`processor.map_in_parallel`): more threads would only compete.
 with one_thread_each():
     from pykdtree.kdtree import KDTree
 

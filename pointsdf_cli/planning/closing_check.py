@@ -46,7 +46,7 @@ class ClosingCheck:
         robot = self._robot = kinematics.robot
         self._object, self._bodies = ObjectDistances(geometry, field), bodies
         self._clearance = clearance
-        beyond = [robot.tree.beyond([joint]) for joint in robot.closing_joints]
+        beyond = [robot.tree.links_moved_by([joint]) for joint in robot.closing_joints]
         moved = [set(map(kinematics.index, links)) for links in beyond]
         links = sorted(set().union(*moved))
         self._patches = np.flatnonzero(np.isin(self._object.link, links))

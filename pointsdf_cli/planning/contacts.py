@@ -74,7 +74,7 @@ class ContactJacobian:
         # moved[l, j]: joint j moves link l. The last row, index WORLD, is moved by none.
         self.moved = np.zeros((len(tree.links) + 1, len(robot.joints)), dtype=bool)
         for column, joint in enumerate(robot.joints):
-            for link in tree.carried([joint.child]):
+            for link in tree.subtree([joint.child]):
                 self.moved[kinematics.index(link), column] = True
 
     def __call__(self, poses: Poses, contacts: Contacts, chosen: Indices) -> Array:

@@ -26,9 +26,9 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.checkpoint_kinds import bundled_success
-from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
+from pointsdf_cli.models.grasp_checkpoint import reconstruction_to_plan_with
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.models.processor import lap, timed, usable_device
+from pointsdf_cli.models.processor import timed, timed_stage, usable_device
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -115,7 +115,7 @@ class GraspPlanner:
         self.shape: ShapeModel | None = None
         if options.method == RECONSTRUCTION:
             success = options.grasp_checkpoint or bundled_success(self.robot)
-            shape = options.checkpoint or reconstruction_for(success)
+            shape = options.checkpoint or reconstruction_to_plan_with(success)
             self.shape = load_model(shape, options.device)
         path = options.grasp_checkpoint
         if path is None and options.method == PARTIAL_VIEW:
@@ -124,7 +124,7 @@ class GraspPlanner:
             path = bundled_success(self.robot, "embedding")
         self._grasps = grasps or load_grasp_model(path, None, options.device, self.robot)
 
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Sentences about what makes all plans doubtful."""
         return few_grasps(getattr(self._grasps, "learned_from", None))
 
@@ -156,17 +156,17 @@ class GraspPlanner:
         grid = grid_for(narrowest(world))
         made: list[Reconstruction] = []
         timings: dict[str, float] = {}
-        with lap(timings, "reconstruction"):
+        with timed_stage(timings, "reconstruction"):
             if self.shape is not None:
                 made = [completed(self.shape, view, seed) for view in views]
                 own = reconstructed_object(made, grid, world)
             else:
                 own = seen_object(world, grid)
             stop_if_cancelled()
-        with lap(timings, "score"):
+        with timed_stage(timings, "score"):
             first = views[0]
             grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
-        with lap(timings, "surface"):
+        with timed_stage(timings, "surface"):
             if field == "none":
                 constraint = absent_object(world)
             elif isinstance(field, str):

@@ -10,7 +10,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.labelled_view import LabelledView
 from pointsdf_cli.planning.object_choice import ListedObject, NoObjectError
-from pointsdf_cli.planning.plausibility import require_table_at_zero, table_doubt
+from pointsdf_cli.planning.plausibility import require_table_at_zero, table_warning
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import chosen_object, label_table, table_height, workspace_of
 from pointsdf_cli.robot.description import load_robot
@@ -75,7 +75,7 @@ def list_objects(
         raise NoObjectError("nothing stands on the table", where=path)
     counts = {item.number: int((view.label == item.label).sum()) for item in objects}
     height = table_height([(view, first.label)])
-    doubt = "" if cloud.over_table else table_doubt(height, [in_world(cloud)])
+    doubt = "" if cloud.over_table else table_warning(height, [in_world(cloud)])
     said = [f"warning: {doubt}"] * bool(doubt)
     for item in objects:
         if item.label in view.objects.cut:

@@ -35,7 +35,7 @@ class ObjectView:
         points: [N, 3], camera frame, m.
         T_frame_camera: [4, 4], the camera in the file's frame.
         frame: Frame of the file: "camera" or "world".
-        said: Sentences about the points kept.
+        notes: Sentences about the points kept.
         alone: Whether the file held nothing else.
         evidence: Observed space around the object; None for an object alone.
         T_world_camera: [4, 4], the camera in the world; None where it is not known.
@@ -44,7 +44,7 @@ class ObjectView:
     points: Array
     T_frame_camera: Array
     frame: str
-    said: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     alone: bool = False
     evidence: ViewEvidence | None = None
     T_world_camera: Array | None = None
@@ -124,8 +124,8 @@ class MeshSettings:
             return seen
         from pointsdf_cli.planning.scene_input import FROM_TABLE
 
-        said = tuple(one for one in seen.said if FROM_TABLE not in one)
-        return replace(seen, said=said, T_world_camera=None)
+        notes = tuple(one for one in seen.notes if FROM_TABLE not in one)
+        return replace(seen, notes=notes, T_world_camera=None)
 
 
 def bare_view(
@@ -250,8 +250,8 @@ def segmented_view(
     with as_input_error(kind=NoObjectError):
         given = read_scene([path], [] if pose is None else [pose], [files], target, around, cleaned)
     cut = segmented_cloud(given.clouds[0], str(path), described, given.target, around, cleaned, q)
-    said, back = (*given.notes, *cut.said), given.T_frame_camera
-    return replace(cut, said=said, frame=given.frame, T_frame_camera=back)
+    notes, back = (*given.notes, *cut.notes), given.T_frame_camera
+    return replace(cut, notes=notes, frame=given.frame, T_frame_camera=back)
 
 
 def segmented_cloud(
@@ -281,5 +281,5 @@ def segmented_cloud(
         found = look_at_table([cloud], [name], there, q, "auto", target, workspace, cleaned)
     view = found.views[0]
     _, pose = cloud.in_camera_frame()
-    said = found.report, False, view.evidence, cloud.T_world_camera
-    return ObjectView(view.points, pose, cloud.frame, *said)
+    known = found.report, False, view.evidence, cloud.T_world_camera
+    return ObjectView(view.points, pose, cloud.frame, *known)

@@ -16,7 +16,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import OK
-from pointsdf_cli.models.processor import at_once, one_blas_thread
+from pointsdf_cli.models.processor import one_blas_thread, run_in_parallel
 from pointsdf_cli.planning.answer import Answer, PerceivedObject, PlanNotes
 from pointsdf_cli.planning.cloud_checks import in_world
 from pointsdf_cli.planning.environment import Environment, Obstacle
@@ -26,10 +26,10 @@ from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import (
     UNEVEN,
-    doubts,
     outside_workspace,
     require_table_at_zero,
-    table_doubt,
+    scene_warnings,
+    table_warning,
 )
 from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
@@ -180,7 +180,7 @@ def _plan_for(
     except NoObjectError as error:
         return _without_object(planner, request, error, q)
     report = list(seen.report)
-    warnings = planner.doubts() + _warnings(seen, request)
+    warnings = planner.warnings() + _warnings(seen, request)
     unmodelled = outside_workspace([view for view, _ in seen.labelled], reach_of(planner.robot))
     warnings += [unmodelled] * bool(unmodelled)
     if warn is not None:
@@ -195,7 +195,7 @@ def _plan_for(
     network = planner.shape if request.obstacles == RECONSTRUCTION else None
     if beside:
         tasks += obstacle_tasks(seen, network, request.seed, request.cleaned)
-    perceived, *found = at_once(tasks)
+    perceived, *found = run_in_parallel(tasks)
     known = environment.obstacles
     others, seconds = named_obstacles(found, [obstacle.name for obstacle in known])
     if beside:
@@ -246,9 +246,9 @@ def _warnings(seen: TableTop, request: PlanRequest) -> list[str]:
     clouds, has_table = request.clouds, request.environment.table
     # A pose from the table has no height to be wrong by.
     checked = request.segment == "auto" and has_table and not clouds[0].over_table
-    off = table_doubt(seen.table_height, [in_world(each) for each in clouds]) if checked else ""
+    off = table_warning(seen.table_height, [in_world(each) for each in clouds]) if checked else ""
     height = (seen.table_height or 0.0) if has_table else None
-    return [off] * bool(off) + doubts(seen.views, height)
+    return [off] * bool(off) + scene_warnings(seen.views, height)
 
 
 def _in_order(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[OrderedObject]:

@@ -143,7 +143,7 @@ class PlanResult:
     options: dict[str, Any]
     least: float
 
-    def said(self) -> dict[str, Any]:
+    def messages(self) -> dict[str, Any]:
         """Entries of the JSON of `plan --json` and of the server, besides the plan."""
         likely = bool(self.plan.success_probability >= self.least)
         return {"report": list(self.report), "warnings": list(self.warnings), "likely": likely}

@@ -16,7 +16,7 @@ import numpy as np
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.checkpoint_kinds import bundled_success
-from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, weights_hash
+from pointsdf_cli.models.grasp_checkpoint import reconstruction_to_plan_with, weights_hash
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seeds import MANY_SEEDS
 from pointsdf_cli.planning.synthesis import SynthesisConfig
@@ -53,7 +53,7 @@ class PlannedPreshapes:
             allowed = "a checkpoint of train-gs"
             hint = "collect heuristic grasps and train one first"
             raise InputError(none, where="--grasp-checkpoint", allowed=allowed, hint=hint)
-        shape = options.checkpoint or reconstruction_for(success)
+        shape = options.checkpoint or reconstruction_to_plan_with(success)
         return {"reconstruction": weights_hash(shape), "success": weights_hash(success)}
 
     def load(self) -> Propose:

@@ -14,7 +14,7 @@ from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.models.processor import lap, one_thread, timed
+from pointsdf_cli.models.processor import one_thread, timed, timed_stage
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.antipodal import antipodal_grasps
 from pointsdf_cli.planning.approach import with_arm
@@ -195,7 +195,7 @@ class Planner:
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
         # A few configurations at a time: nothing to share out between threads.
-        with lap(timings, "motion"), one_thread():
+        with timed_stage(timings, "motion"), one_thread():
             below, bodies = cautious(problems.polish.object.field), problems.polish.bodies
             clearances = self.config.clearances
             checker = PathChecker(self.geometry, below, environment, clearances, bodies)

@@ -122,7 +122,7 @@ def _slope(world: Array) -> float | None:
     return None if tilt > WALL and at_zero > AT_WALL else tilt
 
 
-def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
+def table_warning(height: float | None, worlds: Sequence[Array]) -> str:
     """Warning that the camera's pose may be wrong; empty if the table is where it should be.
 
     Args:
@@ -199,7 +199,7 @@ def outside_workspace(labelled: Sequence[LabelledView], reach: Reach) -> str:
     )
 
 
-def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
+def scene_warnings(views: Sequence[View], table: float | None = 0.0) -> list[str]:
     """Warnings about implausible views of one object.
 
     Args:

@@ -148,7 +148,7 @@ def link_reach(kinematics: Kinematics) -> Array:
             continue
         low, high = bounding_box(shapes)
         farthest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
-        for joint in tree.way_up(link):
+        for joint in tree.joints_to_root(link):
             if joint.name in columns:
                 slides = joint.kind == "prismatic"
                 reach[kinematics.index(link), columns[joint.name]] = 1.0 if slides else farthest

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.box import level_width
+from pointsdf_cli.geometry.box import horizontal_width
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.robot.jaws import jaws_of
@@ -85,4 +85,4 @@ def depth_in(field: Field, outline: Array, palm: Array) -> Array:
 def narrowest(points: Array) -> float:
     """Least width [m] of points [N, 3] over all level directions, or their height if that is
     less."""
-    return min(level_width(points), float(np.ptp(points[:, 2])))
+    return min(horizontal_width(points), float(np.ptp(points[:, 2])))

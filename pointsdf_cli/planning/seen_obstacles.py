@@ -18,12 +18,12 @@ from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array, Surface
-from pointsdf_cli.geometry.box import level_width, thin_directions
+from pointsdf_cli.geometry.box import horizontal_width, thin_directions
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
-from pointsdf_cli.models.processor import at_once, timed
+from pointsdf_cli.models.processor import run_in_parallel, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
@@ -85,7 +85,7 @@ def seen_obstacles(
     Returns:
         The obstacles, called seen_1, seen_2, …, and how long they took [s].
     """
-    return named_obstacles(at_once(obstacle_tasks(seen, network, seed, cleaned)), taken)
+    return named_obstacles(run_in_parallel(obstacle_tasks(seen, network, seed, cleaned)), taken)
 
 
 def obstacle_tasks(
@@ -130,7 +130,7 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Co
     """
     points = view.in_world
     points = points[thin(points, VOXEL).first] if len(points) else points
-    if len(points) < FEWEST_MISSED or level_width(points) > WIDEST:
+    if len(points) < FEWEST_MISSED or horizontal_width(points) > WIDEST:
         return hulls(points)
     shape = completed(network, view, seed).in_fast_precision
     try:

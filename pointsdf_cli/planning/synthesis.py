@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pointsdf_cli.models.processor import lap
+from pointsdf_cli.models.processor import timed_stage
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate, judge
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.closing_check import ClosingCheck
@@ -152,13 +152,13 @@ def synthesise(
     for turn in range(config.rounds):
         stop_if_cancelled()
         kind = config.kinds[turn % len(config.kinds)]
-        with lap(timings, "seeds"):
+        with timed_stage(timings, "seeds"):
             problems = whole.in_round(turn, clearance + SOLVER_MARGIN)
             seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
         stop_if_cancelled()
         candidates = _solved(problems, seeds, accepted, solver, config, timings)
-        with lap(timings, "check"):
+        with timed_stage(timings, "check"):
             for source in [*unsolved, *_beside(accepted, whole.exact, kinematics)]:
                 candidates += _judged(problems, source, kinematics, kind, rng, config)
             if closing is not None:
@@ -194,10 +194,10 @@ def _solved(
     """
     if not len(seeds.x):
         return []
-    with lap(timings, "solve"):
+    with timed_stage(timings, "solve"):
         found = solver.solve(problems.quick, seeds.x)
         stop_if_cancelled()
-    with lap(timings, "check"):
+    with timed_stage(timings, "check"):
         # Feasible ones by objective, then the others by violation.
         violated = np.where(found.violation > 1e-3, found.violation, 0.0)
         order = np.lexsort((found.objective, violated))
@@ -253,10 +253,10 @@ def _polish(
     again = near[:POLISHED]
     if not again or problems.polish is problems.quick:
         return
-    with lap(timings, "polish"):
+    with timed_stage(timings, "polish"):
         starts = np.stack([candidates[k].x for k in again])
         polished = solver.solve(problems.polish, starts, POLISH_ITERATIONS).x
-    with lap(timings, "check"):
+    with timed_stage(timings, "check"):
         kinds = [candidates[k].kind for k in again]
         better = judge(problems.exact, polished, config.acceptance, kinds)
     for k, candidate in zip(again, better, strict=True):

@@ -18,7 +18,7 @@ from pointsdf_cli.camera.table_objects import VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.box import level_width
+from pointsdf_cli.geometry.box import horizontal_width
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
@@ -209,7 +209,7 @@ def _check_width(in_world: Array, name: str) -> None:
     Raises:
         NoObjectError: It is too wide.
     """
-    if (width := level_width(in_world)) > WIDEST:
+    if (width := horizontal_width(in_world)) > WIDEST:
         wide = f"what is seen there is {width:.2f} m wide or more in every direction"
         hint = "--target names another object, --mask a part of it"
         raise NoObjectError(f"{wide}: no hand reaches around that", where=name, hint=hint)
@@ -242,7 +242,7 @@ def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) 
         require_pose(cloud, name)
         assert cloud.T_world_camera is not None
         points, said = bare_object(check_object_cloud(masked(cloud), name), cleaned)
-        width = level_width(apply_transform(cloud.T_world_camera, points))
+        width = horizontal_width(apply_transform(cloud.T_world_camera, points))
         if width > WIDEST:
             wide = f"the cloud is {width:.2f} m wide or more in every direction"
             doubt = (

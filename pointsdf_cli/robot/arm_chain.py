@@ -107,7 +107,7 @@ def _moving_joints(robot: RobotDescription) -> tuple[list[int], list[Array]]:
 
     The poses are of these joints, then of the palm, each in the frame of the joint before.
     """
-    chain = robot.tree.way_up(robot.palm_link)
+    chain = robot.tree.joints_to_root(robot.palm_link)
     unused = set(robot.arm_joints) - {joint.name for joint in chain}
     if unused:
         raise InputError(

@@ -162,7 +162,7 @@ def _left_home(robot: RobotDescription) -> list[Finding]:
 
 def _carried(robot: RobotDescription) -> bool:
     """Whether every arm joint lies on the way from the root to the palm."""
-    way = robot.tree.way_up(robot.palm_link)
+    way = robot.tree.joints_to_root(robot.palm_link)
     return set(robot.arm_joints) <= {joint.name for joint in way}
 
 

@@ -73,7 +73,7 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
         leader, ratio = leaders.get(column, (column, 1.0))
         alone = np.repeat(start[None], steps, axis=0)
         alone[:, leader] = ways.get(leader, ways[column] / ratio)
-        beyond = robot.tree.beyond(robot.moved_with(robot.joint_names[leader]))
+        beyond = robot.tree.links_moved_by(robot.moved_with(robot.joint_names[leader]))
         moved = [k for k, tip in enumerate(tips) if tip in beyond]
         away = to_palm_axis(robot, in_palm(robot.follow(alone))[:, moved])
         nearer[joint] = float((away[0] - away.min(axis=0)).max()) if moved else 0.0
@@ -87,12 +87,14 @@ def fingertips(robot: RobotDescription) -> tuple[str, ...]:
     (Robotiq, xArm) end where they meet their finger.
     """
     tree = robot.tree
-    moved = dict.fromkeys(link for joint in robot.hand_joints for link in tree.beyond([joint]))
+    moved = dict.fromkeys(
+        link for joint in robot.hand_joints for link in tree.links_moved_by([joint])
+    )
     shaped = [link for link in moved if tree.shapes[link]]
-    inner = {joint.parent for link in shaped for joint in tree.way_up(link)}
+    inner = {joint.parent for link in shaped for joint in tree.joints_to_root(link)}
     tips = [link for link in shaped if link not in inner]
     if robot.followers:
-        chains = {tip: {tip, *(joint.parent for joint in tree.way_up(tip))} for tip in tips}
+        chains = {tip: {tip, *(joint.parent for joint in tree.joints_to_root(tip))} for tip in tips}
         struts = _struts(robot, {tip: chains[tip] & set(shaped) for tip in tips})
         tips = [tip for tip in tips if tip not in struts]
     return tuple(tips)

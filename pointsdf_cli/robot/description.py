@@ -129,7 +129,7 @@ class RobotDescription:
     @cached_property
     def hand_links(self) -> tuple[str, ...]:
         """Hand links: the palm's link, all links fixed to it and all links beyond."""
-        return self.tree.carried([self.palm_link])
+        return self.tree.subtree([self.palm_link])
 
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -268,12 +268,12 @@ def _palm(keys: RobotKeys, tree: Tree, hand: tuple[str, ...]) -> tuple[str, Arra
     palm = keys.data["palm"]
     if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
         raise keys.wrong("palm", "has no such `link`", ", ".join(tree.links))
-    if not any(tree.shapes[link] for link in tree.beyond(hand)):
+    if not any(tree.shapes[link] for link in tree.links_moved_by(hand)):
         allowed = "a URDF whose fingers have <collision> geometry, not <visual> alone"
         raise keys.wrong("hand_joints", "move no link with a <collision> shape", allowed)
     pose = keys.pose("palm", palm, ("link", "reach"))
     link, T_link_palm = _carrier(tree, hand, str(palm["link"]), pose)
-    for joint in reversed(tree.way_up(link)):
+    for joint in reversed(tree.joints_to_root(link)):
         if joint.name in hand:
             what = f"holds {joint.name!r}, which moves the palm's link {link!r}"
             allowed = "joints beyond the palm; a wrist is one of `arm_joints`"
@@ -311,8 +311,8 @@ def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple
     """
     first = {joint.parent for joint in tree.joints if joint.name in hand}
     carrier, T_carrier_palm = link, pose
-    while not first <= set(tree.carried([carrier])):
-        joint = tree.above[carrier]
+    while not first <= set(tree.subtree([carrier])):
+        joint = tree.parent_joint[carrier]
         if joint.kind != "fixed":
             return link, pose
         carrier, T_carrier_palm = joint.parent, joint.T_parent_joint @ T_carrier_palm

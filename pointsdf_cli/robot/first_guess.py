@@ -92,7 +92,7 @@ def _split(tree: Tree, urdf: Path, palm: str | None) -> tuple[str, list[str], li
     """The palm's link, the arm's joints from the root to it, and the joints beyond it."""
 
     def moved_below(link: str) -> list[str]:
-        inside = set(tree.carried([link]))
+        inside = set(tree.subtree([link]))
         return [j.name for j in tree.joints if j.parent in inside and j.kind in MOVING]
 
     if palm is None:
@@ -106,7 +106,7 @@ def _split(tree: Tree, urdf: Path, palm: str | None) -> tuple[str, list[str], li
     elif palm not in tree.links:
         raise InputError(f"no link {palm!r}", where=urdf, allowed=", ".join(tree.links))
     hand = moved_below(palm)
-    way = [joint.name for joint in reversed(tree.way_up(palm)) if joint.kind in MOVING]
+    way = [joint.name for joint in reversed(tree.joints_to_root(palm)) if joint.kind in MOVING]
     if not hand or not way:
         what = "no fingers branch off" if not hand else f"no joint leads to {palm!r}"
         raise InputError(

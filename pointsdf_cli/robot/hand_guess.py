@@ -43,7 +43,7 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
     pair = len({_root(robot, tip) for tip in tips}) == 2
     leaders = {column: (leader, ratio) for column, leader, ratio in robot.followers}
     fingers = {
-        joint: set(tips) & set(robot.tree.beyond(robot.moved_with(joint)))
+        joint: set(tips) & set(robot.tree.links_moved_by(robot.moved_with(joint)))
         for joint in robot.hand_joints
     }
     for column, joint in zip(hand, robot.hand_joints, strict=True):
@@ -111,7 +111,7 @@ def preshapes(robot: RobotDescription, closing: dict[str, float]) -> dict[str, l
     leaders = {column: (leader, ratio) for column, leader, ratio in robot.followers}
     found = {}
     for joint in robot.tree.joints:
-        before = [other.name for other in robot.tree.way_up(joint.parent)]
+        before = [other.name for other in robot.tree.joints_to_root(joint.parent)]
         if joint.name in closing and not closing.keys() & before:
             column = robot.joint_names.index(joint.name)
             k, ratio = leaders.get(column, (column, 1.0))
@@ -179,7 +179,7 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
 
 def _root(robot: RobotDescription, link: str) -> str:
     """The link of a finger that is moved by the finger's first joint."""
-    way = reversed(robot.tree.way_up(link))
+    way = reversed(robot.tree.joints_to_root(link))
     return next((joint.child for joint in way if joint.name in robot.hand_joints), link)
 
 

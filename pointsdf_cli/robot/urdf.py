@@ -74,19 +74,19 @@ class Tree:
     without_mass: tuple[str, ...]
 
     @cached_property
-    def above(self) -> dict[str, Joint]:
+    def parent_joint(self) -> dict[str, Joint]:
         """The joint that leads to each link but the root."""
         return {joint.child: joint for joint in self.joints}
 
-    def way_up(self, link: str) -> list[Joint]:
+    def joints_to_root(self, link: str) -> list[Joint]:
         """The joints from a link up to the root."""
         way: list[Joint] = []
-        while link in self.above:
-            way.append(self.above[link])
+        while link in self.parent_joint:
+            way.append(self.parent_joint[link])
             link = way[-1].parent
         return way
 
-    def carried(self, links: Iterable[str]) -> tuple[str, ...]:
+    def subtree(self, links: Iterable[str]) -> tuple[str, ...]:
         """Some links and all beyond them, in the order of `links`."""
         found = set(links)
         for joint in self.joints:  # parents come first
@@ -94,13 +94,15 @@ class Tree:
                 found.add(joint.child)
         return tuple(link for link in self.links if link in found)
 
-    def beyond(self, joints: Collection[str]) -> tuple[str, ...]:
+    def links_moved_by(self, joints: Collection[str]) -> tuple[str, ...]:
         """The links that some joints move, in the order of `links`."""
-        return self.carried(joint.child for joint in self.joints if joint.name in joints)
+        return self.subtree(joint.child for joint in self.joints if joint.name in joints)
 
     def fixed_to_root(self) -> tuple[str, ...]:
         """The links that no joint moves, the root first."""
-        moved = set(self.beyond({joint.name for joint in self.joints if joint.kind != "fixed"}))
+        moved = set(
+            self.links_moved_by({joint.name for joint in self.joints if joint.kind != "fixed"})
+        )
         return tuple(link for link in self.links if link not in moved)
 
     def neighbours(self) -> set[frozenset[str]]:
@@ -109,13 +111,15 @@ class Tree:
         body: dict[str, str] = {}
         pairs = set()
         for link in self.links:  # parents first
-            joint = self.above.get(link)
+            joint = self.parent_joint.get(link)
             fixed = joint is not None and joint.kind == "fixed"
             body[link] = body[joint.parent] if joint and fixed else link
             pairs |= {frozenset((link, other)) for other in body if body[other] == body[link]}
             while joint is not None:
                 pairs.add(frozenset((link, joint.parent)))
-                joint = self.above.get(joint.parent) if not self.shapes[joint.parent] else None
+                joint = (
+                    self.parent_joint.get(joint.parent) if not self.shapes[joint.parent] else None
+                )
         return {pair for pair in pairs if len(pair) == 2}
 
 

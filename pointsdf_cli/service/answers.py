@@ -28,7 +28,7 @@ def plan_answer(resident: Resident, body: PlanBody, form: str) -> tuple[bytes, s
             path = folder / "plan.h5"
             write_plan(path, result.plan, seed=body.seed, config=result.options)
             return path.read_bytes(), HDF5
-    return to_json({**plan_as_json(result.plan), **result.said()}).encode(), JSON
+    return to_json({**plan_as_json(result.plan), **result.messages()}).encode(), JSON
 
 
 def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, str]:
@@ -48,7 +48,7 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
         "vertices": apply_transform(view.T_frame_camera, made.vertices),
         "faces": made.faces,
         "frame": view.frame,
-        "report": view.said,
+        "report": view.notes,
         "parts_dropped": made.parts_dropped,
         "queries": made.queries,
         "seconds": completed.seconds,

@@ -19,7 +19,7 @@ from pointsdf_cli.service.body_parts import Body, CloudBody, EnvironmentBody, nu
 JSON, NPZ, HDF5 = "application/json", "application/x-npz", "application/x-hdf5"
 
 
-class Served(Body):
+class ExpectedPlanner(Body):
     """Version, robot and weights that the client expects; those left out are not checked."""
 
     version: str | None = None
@@ -46,7 +46,7 @@ class SceneBody(Body):
     )
     clean: bool = True
     seed: int = Field(0, ge=0, lt=2**63)
-    expects: Served = Field(default_factory=Served)
+    expects: ExpectedPlanner = Field(default_factory=ExpectedPlanner)
 
     def check(self) -> None:
         """Refuse an invalid request before it enters the queue.

@@ -18,7 +18,7 @@ from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.heuristic import HeuristicConfig
 from pointsdf_cli.simulation.observe import CameraPlacement
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.reach import Reach
+from pointsdf_cli.simulation.preshape_path import PreshapePath
 from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
 
 SCENE_ATTEMPTS = 4
@@ -110,7 +110,7 @@ class Attempt:
     cloud: NDArray[np.float32]
     kind: str
     T_world_palm: Array
-    reach: Reach
+    reach: PreshapePath
     outcome: Outcome | None
 
     @property

@@ -41,7 +41,7 @@ from pointsdf_cli.simulation.executor import Executor
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import draw_preshape, hand_of
 from pointsdf_cli.simulation.observe import Observer
-from pointsdf_cli.simulation.reach import Reach, Reacher, start_cause
+from pointsdf_cli.simulation.preshape_path import PreshapePath, PreshapePathFinder, start_cause
 from pointsdf_cli.simulation.settle import placed, settle, shows
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import Outcome
@@ -83,7 +83,7 @@ class Attempter:
         # Never stepped, so it is not rebuilt for each attempt.
         self.checks = World(robot, self.config.physics)
         self._observer = Observer(robot, self.config.placement)
-        self._reacher = Reacher(self.checks, InverseKinematics(robot, INVERSE))
+        self._path_to = PreshapePathFinder(self.checks, InverseKinematics(robot, INVERSE))
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
@@ -129,20 +129,20 @@ class Attempter:
 
     def _drawn(
         self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator
-    ) -> tuple[str, Array, Reach]:
+    ) -> tuple[str, Array, PreshapePath]:
         """Kind and palm pose [4, 4] of a preshape of the heuristic, and the path to it."""
         points = apply_transform(scene.T_world_camera, scene.cloud)
         camera, base = scene.T_world_camera[:3, 3], self.robot.T_world_base[:3, 3]
         preshape = draw_preshape(points, camera, base, self._hand, self.config.heuristic, rng)
-        arms = self._reacher.arms(preshape.T_world_palm)
+        arms = self._path_to.arms(preshape.T_world_palm)
         if len(arms):
             self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
-        reach = self._reacher(preshape.T_world_palm, preshape.joints, arms)
+        reach = self._path_to(preshape.T_world_palm, preshape.joints, arms)
         return preshape.kind, preshape.T_world_palm, reach
 
     def _planned(
         self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator
-    ) -> tuple[str, Array, Reach]:
+    ) -> tuple[str, Array, PreshapePath]:
         """Kind and palm pose [4, 4] of a preshape from the planner, and the lift from there.
 
         A motion is not looked for: `plan` searches one later. A preshape inside the true object
@@ -153,19 +153,19 @@ class Attempter:
             stream = self._rng(item, 3, index // SCENE_ATTEMPTS)
             self._proposed = scene, self._propose(scene, stream)
         proposed, which = self._proposed[1], index % SCENE_ATTEMPTS
-        chain, home = self._reacher.chain, self.robot.home
+        chain, home = self._path_to.chain, self.robot.home
         if which >= len(proposed):
-            return SIDE, chain.palm(home), Reach(NO_CONFIGURATION, "no_plan", home)
+            return SIDE, chain.palm(home), PreshapePath(NO_CONFIGURATION, "no_plan", home)
         one = proposed[which]
         self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
         cause = start_cause(self.checks.collisions(one.q))
         if cause:
             label = LOST if cause == "start_in_object" else NO_CONFIGURATION
-            reach = Reach(label, cause, one.q)
+            reach = PreshapePath(label, cause, one.q)
         elif (lift := lift_path(chain, one.q)) is None:
-            reach = Reach(NO_MOTION, "no_lift", one.q)
+            reach = PreshapePath(NO_MOTION, "no_lift", one.q)
         else:
-            reach = Reach(LOST, "", one.q, lift=lift)
+            reach = PreshapePath(LOST, "", one.q, lift=lift)
         return one.kind, one.T_world_palm, reach
 
     def execute(
@@ -207,9 +207,9 @@ class Attempter:
             raise InputError(what, where=item.mesh.name, allowed=allowed)
         q = grasps.q[row]
         if planned:  # the lift that `plan` would take
-            lift = lift_path(self._reacher.chain, q)
+            lift = lift_path(self._path_to.chain, q)
         else:
-            lift = self._reacher.lift(q, grasps.T_world_palm[row])
+            lift = self._path_to.lift(q, grasps.T_world_palm[row])
         if lift is None:
             raise InputError("the arm has no room to lift from this configuration")
         return self.execute(item, grasps.T_world_object[row], q, lift, watch)

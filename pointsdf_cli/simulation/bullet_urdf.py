@@ -75,7 +75,7 @@ def hand_urdfs(robot: RobotDescription, folder: Path, skin: float) -> list[Path]
         palm.append(_fixed(carrier, name, pose))
     files = [_written(palm, folder / "palm.urdf")]
     for number, fingers in enumerate(_coupled(robot, _leading_away(robot, fixed))):
-        inner = [name for name in robot.tree.carried(fingers) if name not in fingers]
+        inner = [name for name in robot.tree.subtree(fingers) if name not in fingers]
         inside = [links[name] for name in [*fingers, *inner]]
         finger = _body(inside, [joints[name] for name in inner], carrier)
         # PyBullet treats links fixed to the first link of a fixed base as part of the base, which
@@ -91,7 +91,7 @@ def hand_urdfs(robot: RobotDescription, folder: Path, skin: float) -> list[Path]
 def _fixed_to_palm(robot: RobotDescription) -> dict[str, Array]:
     """Poses [4, 4] in the palm link of the links that cannot move in it."""
     fixed = {robot.palm_link: np.eye(4)}
-    for joint in robot.tree.way_up(robot.palm_link):
+    for joint in robot.tree.joints_to_root(robot.palm_link):
         if joint.kind in MOVING:
             break
         fixed[joint.parent] = fixed[joint.child] @ invert_transform(joint.T_parent_joint)
@@ -114,7 +114,9 @@ def _coupled(robot: RobotDescription, fingers: dict[str, Array]) -> list[dict[st
     """The fingers, grouped so that joints coupled by <mimic> share a body: gears couple joints of
     one body only."""
     tree = robot.tree
-    of_joint = {tree.above[link].name: one for one in fingers for link in tree.carried([one])}
+    of_joint = {
+        tree.parent_joint[link].name: one for one in fingers for link in tree.subtree([one])
+    }
     group = {first: {first} for first in fingers}
     for joint in tree.joints:
         if joint.mimic and {joint.name, joint.mimic[0]} <= of_joint.keys():

@@ -160,7 +160,7 @@ def prepare(
         InputError: The reconstruction network is missing or of the wrong kind.
     """
     robot = load_robot(sources.robot)
-    links = len(robot.tree.beyond(robot.closing_joints))
+    links = len(robot.tree.links_moved_by(robot.closing_joints))
     sweep = HandSweep(robot, SweepConfig(points_per_pad=5 if links <= FEW_LINKS else 1))
     checkpoint = None if variant.mode == SCRATCH else reconstruction_of(variant, sources.sdf)
     if checkpoint is None:

@@ -45,7 +45,7 @@ FOLLOW = FollowConfig(
 
 
 @dataclass(frozen=True)
-class Reach:
+class PreshapePath:
     """A path to a preshape, or the reason why there is none.
 
     Attributes:
@@ -66,7 +66,7 @@ class Reach:
     lift: Array = field(default_factory=lambda: np.empty((0, 0)))
 
 
-class Reacher:
+class PreshapePathFinder:
     """Path search in one world.
 
     Args:
@@ -91,7 +91,9 @@ class Reacher:
         order = np.argsort(np.abs(arms - home).max(axis=1), kind="stable")
         return _different(arms[order])[:CANDIDATES]
 
-    def __call__(self, T_world_palm: Array, joints: Array, arms: Array | None = None) -> Reach:
+    def __call__(
+        self, T_world_palm: Array, joints: Array, arms: Array | None = None
+    ) -> PreshapePath:
         """Find a path to a palm pose in the world's scene; moves the world's robot.
 
         Args:
@@ -103,12 +105,12 @@ class Reacher:
         arms = self.arms(T_world_palm) if arms is None else arms
         if not len(arms):
             q = robot.configuration(np.full(len(robot.arm_joints), np.nan), joints)
-            return Reach(NO_CONFIGURATION, "no_ik", q)
+            return PreshapePath(NO_CONFIGURATION, "no_ik", q)
         tried = robot.configuration(arms, joints)
         causes = [start_cause(self._world.collisions(q)) for q in tried]
         free = arms[[not cause for cause in causes]]
         if not len(free):
-            return Reach(NO_CONFIGURATION, causes[-1], tried[-1])
+            return PreshapePath(NO_CONFIGURATION, causes[-1], tried[-1])
         return self._way(T_world_palm, free, joints)
 
     @property
@@ -123,7 +125,7 @@ class Reacher:
         paths, fine = self._straight(arm, T_world_palm, [[0, 0, LIFT_HEIGHT]])
         return paths[0] if fine[0] else None
 
-    def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> Reach:
+    def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> PreshapePath:
         """Path to the first of the arm configurations [B, A] that is reachable and can lift."""
         robot = self._robot
         back = -RETREAT * T_world_palm[:3, 0]
@@ -139,8 +141,8 @@ class Reacher:
             approach = self._approach(retreats[k], T_world_palm, back, joints)
             if approach is not None:
                 q = robot.configuration(arms[k], joints)
-                return Reach(0, "", q, approach, lifts[k])
-        return Reach(NO_MOTION, cause, robot.configuration(arms[0], joints))
+                return PreshapePath(0, "", q, approach, lifts[k])
+        return PreshapePath(NO_MOTION, cause, robot.configuration(arms[0], joints))
 
     def _approach(
         self, retreat: Array, T_world_palm: Array, back: Array, joints: Array
