@@ -26,7 +26,7 @@ FOOT = 0.025
 RISE = 0.03
 """Least height of its highest point [m]."""
 BASE = 0.025
-"""Its least width in both level directions [m]."""
+"""Its least width in both horizontal directions [m]."""
 MOST = 60_000
 """Largest number of points; larger clouds are not split."""
 

@@ -137,8 +137,8 @@ def _turned(yaw: float) -> Array:
 
 
 def _leaning(T_table_object: Array, vertices: Array, angle: float, direction: float) -> Array:
-    """The pose tilted by an angle [rad] about a level axis with a direction [rad] from the table's
-    x axis, down to where the object touches the table."""
+    """The pose tilted by an angle [rad] about a horizontal axis with a direction [rad] from the
+    table's x axis, down to where the object touches the table."""
     c, s = np.cos(angle), np.sin(angle)
     tilt = transform([[1, 0, 0], [0, c, -s], [0, s, c]], [0, 0, 0])
     tilted = _turned(direction) @ tilt @ _turned(-direction) @ T_table_object

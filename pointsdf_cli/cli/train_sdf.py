@@ -49,7 +49,7 @@ def train_sdf(
         typer.Option(help="Loss: probability of being inside at the predicted surface."),
     ] = None,
     overlap_weight: Annotated[
-        float | None, typer.Option(help="Loss: weight of the overlap (IoU) of the two insides.")
+        float | None, typer.Option(help="Loss: weight of 1 − IoU of predicted and true interior.")
     ] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="Checkpoint with the initial weights.")

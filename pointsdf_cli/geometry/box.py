@@ -30,7 +30,7 @@ def thin_directions(points: Array, least: float) -> Array:
 
 
 def horizontal_width(points: Array) -> float:
-    """Least width [m] of points [N, 3] of the world over all level directions."""
+    """Least width [m] of points [N, 3] of the world over all horizontal directions."""
     angle = np.linspace(0, np.pi, 18, endpoint=False)
     level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
     return float(np.ptp(level, axis=0).min())

@@ -24,6 +24,8 @@ from pointsdf_cli.geometry.cubic_cells import bends, cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS, cell_cases
 from pointsdf_cli.geometry.sampled_grid import Cells, SampledGrid
 
+SMOOTH_FROM = 64
+"""Cells along the box from which on `SearchRules.smooth` applies."""
 _FEWEST = 8
 """Cells along each side of the largest cells that the search may begin with."""
 # Tables over the 256 patterns of a cell's inside corners (`cell_cases`): the corners that end a
@@ -47,13 +49,11 @@ class SearchRules:
             the signs at their corners agree; 0 is the paper's rule.
         smooth: Bend of the field (`bends`), in sides of a cell, below which halved cells are
             interpolated instead of evaluated; 0 for none.
-        smooth_from: Cells along the box from which on `smooth` applies.
     """
 
     slope: float = 1.25
     reach: float = 0.5
     smooth: float = 0.0
-    smooth_from: int = 64
 
 
 def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> NDArray[np.int32]:
@@ -112,7 +112,7 @@ def _subdivide(
     halved = np.zeros(((grid.side - 1) // (2 * stride),) * 3, dtype=bool)
     cells, rows = np.zeros((0, 3), np.int32), np.zeros((0, 8), np.int32)
     slope = rules.slope
-    if len(halved) >= rules.smooth_from and rules.smooth > 0:
+    if len(halved) >= SMOOTH_FROM and rules.smooth > 0:
         _interpolate_smooth(grid, parents, stride, rules.smooth)
     while len(parents):
         halved[tuple((parents // (2 * stride)).T)] = True

@@ -18,7 +18,7 @@ from pointsdf_cli.geometry.isosurface import (
     IsosurfaceConfig,
     extract_isosurface,
 )
-from pointsdf_cli.geometry.mise import SearchRules
+from pointsdf_cli.geometry.mise import SMOOTH_FROM, SearchRules
 from pointsdf_cli.geometry.sampled_grid import NetworkField
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -89,7 +89,7 @@ def mesh_reconstruction(
         return _vessel_mesh(reconstruction, vessel, resolution, smallest_part, smoothing)
     model = reconstruction.model
     rules = SearchRules() if model.gives_distances else SearchRules(slope=np.inf)
-    interpolated = model.gives_distances and not exact and resolution > rules.smooth_from
+    interpolated = model.gives_distances and not exact and resolution > SMOOTH_FROM
     if interpolated:
         # An exact SDF's slope. A network is steeper in places, which hides a thousandth of the
         # crossed cells.

@@ -20,17 +20,17 @@ from pointsdf_cli.objects.solids import (
 from pointsdf_cli.objects.walls import cavity, shell, side_handle, solid_of
 
 
-def screw_cap(draw: Draw, radius: float, name: str = "cap") -> Manifold:
+def screw_cap(draw: Draw, radius: float) -> Manifold:
     """A cap to close a neck of the given radius: straight, tapered, domed or with a nozzle."""
-    wide = radius * draw.uniform(f"{name}_ratio", 1.03, 1.3)
-    length = draw.uniform(f"{name}_length", 0.009, 0.03)
-    taper = draw.uniform(f"{name}_taper", 0.75, 1.0)
+    wide = radius * draw.uniform("cap_ratio", 1.03, 1.3)
+    length = draw.uniform("cap_length", 0.009, 0.03)
+    taper = draw.uniform("cap_taper", 0.75, 1.0)
     profile = [(wide, 0), (wide, 0.4 * length), (wide * taper, length)]
-    form = draw.choice(f"{name}_form", ("flat", "flat", "dome", "nozzle"))
+    form = draw.choice("cap_form", ("flat", "flat", "dome", "nozzle"))
     if form == "dome":
         profile += [(0.7 * wide * taper, length + 0.35 * wide), (0.0, length + 0.5 * wide)]
     elif form == "nozzle":
-        tip = draw.uniform(f"{name}_nozzle", 0.012, 0.03)
+        tip = draw.uniform("cap_nozzle", 0.012, 0.03)
         profile += [(0.5 * wide, length), (0.3 * wide, length + tip)]
     return turn(profile, fillet=0.0009, segments=40)
 

@@ -1,7 +1,7 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
 The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Beyond
-`exact_to`, a pair gets the gap between its bounding balls, and a mesh the distance to its convex
+`exact_to`, a pair gets the gap between its bounding spheres, and a mesh the distance to its convex
 hull: lower bounds, whose constraints are inactive. The depth inside of a solid mesh is that behind
 one of its triangles, or that in its hull where the way off the triangle does not lead out.
 """

@@ -58,8 +58,10 @@ class ClosingCheck:
         self._pairs = np.flatnonzero(obstacle & np.isin(bodies.link, links))
 
     def judged(self, candidates: list[Candidate], config: AcceptanceConfig) -> list[Candidate]:
-        """The candidates with the slack of accepted ones and fallbacks; accepted ones whose fingers
-        come too near to an obstacle get the reason "closing"."""
+        """The candidates, with `closing_slack` for accepted ones and fallbacks.
+
+        Accepted ones whose closing fingers come too near to an obstacle get the reason "closing".
+        """
         free = [k for k, one in enumerate(candidates) if not one.reason or one.is_fallback(config)]
         slacks = self.slack(np.array([candidates[k].q for k in free]))
         judged = list(candidates)

@@ -63,7 +63,8 @@ def join(contacts: list[Contacts]) -> Contacts:
 class ContactJacobian:
     """Derivatives of contact distances with respect to the joints, from the chain's geometry.
 
-    A turning joint with world axis a through o moves a point x by a × (x − o); a sliding one by a.
+    A revolute joint with world axis a through o moves a point x by a × (x − o), a prismatic one
+    by a.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:

@@ -79,7 +79,7 @@ class ListedObject:
         number: Number from 1; 1 is the default target.
         label: Its label in `TableObjects.label`.
         centre: [3], centre of its bounding box, world, m.
-        size: [3], sides of its box: the longer and the shorter level side, and its height, m.
+        size: [3], sides of its box: the longer and the shorter horizontal side, and its height, m.
         points: Number of observed points, thinned.
         stands: Whether it stands on the table; others come last.
         unsplit: Whether it looks like several objects in contact.

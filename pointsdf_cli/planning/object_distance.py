@@ -2,7 +2,7 @@
 
 A link's surface is covered by samples (`robot.surface`), grouped into patches a few centimetres
 wide. A patch whose centre is farther from the object than its radius plus `exact_to` gets the
-distance of its bounding ball, a lower bound; every other patch gets the distance of its nearest
+distance of its bounding sphere, a lower bound; every other patch gets the distance of its nearest
 sample. A link has several patches near a wide contact; the minimum over them is the paper's
 constraint.
 """

@@ -249,7 +249,7 @@ def from_inside(view: View) -> str:
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) < np.ptp(points, axis=0).max() / 2:
         return "the camera stands within the object: check the cloud's frame and the camera's pose"
-    ball = _ball(points)
+    ball = _fit_sphere(points)
     if ball is None:
         return ""
     middle, radius = ball
@@ -305,7 +305,7 @@ def in_parts(world: Array) -> str:
     )
 
 
-def _ball(points: Array) -> tuple[Array, float] | None:
+def _fit_sphere(points: Array) -> tuple[Array, float] | None:
     """Centre and radius of a sphere through the points; None if none fits."""
     origin = points.mean(axis=0)
     away = points - origin

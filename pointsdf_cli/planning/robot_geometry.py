@@ -90,7 +90,7 @@ class Patches:
     Attributes:
         link: [M], index of each patch's link.
         points: [M, PATCH, 3], link frame; short patches repeat samples.
-        centre, radius: [M, 3] and [M], bounding balls.
+        centre, radius: [M, 3] and [M], bounding spheres.
     """
 
     link: Indices

@@ -83,6 +83,6 @@ def depth_in(field: Field, outline: Array, palm: Array) -> Array:
 
 
 def narrowest(points: Array) -> float:
-    """Least width [m] of points [N, 3] over all level directions, or their height if that is
+    """Least width [m] of points [N, 3] over all horizontal directions, or their height if that is
     less."""
     return min(horizontal_width(points), float(np.ptp(points[:, 2])))

@@ -15,7 +15,7 @@ HAND_ROOM = 0.10
 """Distance [m] within which another object blocks a hand that comes from its side."""
 
 SECTORS = 24
-"""Number of level directions around an object to test."""
+"""Number of horizontal directions around an object to test."""
 
 EQUALLY_FREE = 0.1
 """Difference of two shares of free directions below which they count as equal."""
@@ -26,7 +26,7 @@ class OrderedObject(NamedTuple):
 
     Attributes:
         item: The object.
-        free: Share of the level directions around it without a near neighbour.
+        free: Share of the horizontal directions around it without a near neighbour.
         reached: Whether the robot's palm can get near the table there.
     """
 
@@ -59,7 +59,7 @@ def take_order(view: LabelledView, reach: Reach | None = None) -> list[OrderedOb
 
 
 def free_share(points: Array, others: Array) -> float:
-    """Share of the level directions around an object without another within `HAND_ROOM`.
+    """Share of the horizontal directions around an object without another within `HAND_ROOM`.
 
     Args:
         points: [N, 3], points of the object, world, m.

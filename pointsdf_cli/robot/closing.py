@@ -14,6 +14,8 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import link_surface, robot_surface
 
+STEPS = 25
+"""Number of configurations of a closing hand."""
 NEARER = 0.002
 """Least distance [m] by which a closing joint brings a fingertip nearer to the palm's axis."""
 
@@ -47,14 +49,14 @@ def open_hand(robot: RobotDescription) -> Array:
     return robot.configuration(robot.home[robot.arm], robot.preshape_ranges.mean(axis=1))
 
 
-def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
+def closing_of(robot: RobotDescription) -> Closing:
     """Close the hand without anything in it."""
     kinematics = Kinematics(robot)
     surface = robot_surface(robot)
     start = open_hand(robot)
     ends = robot.closing_ends
-    share = np.linspace(0.0, 1.0, steps)[:, None]
-    q = np.repeat(start[None], steps, axis=0)
+    share = np.linspace(0.0, 1.0, STEPS)[:, None]
+    q = np.repeat(start[None], STEPS, axis=0)
     q[:, robot.closing_columns] = (1 - share) * start[robot.closing_columns] + share * ends
     ways = dict(zip(robot.closing_columns, q[:, robot.closing_columns].T, strict=True))
     q = robot.follow(q)
@@ -71,7 +73,7 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
     leaders = {column: (leader, ratio) for column, leader, ratio in robot.followers}
     for joint, column in zip(robot.closing_joints, robot.closing_columns, strict=True):
         leader, ratio = leaders.get(column, (column, 1.0))
-        alone = np.repeat(start[None], steps, axis=0)
+        alone = np.repeat(start[None], STEPS, axis=0)
         alone[:, leader] = ways.get(leader, ways[column] / ratio)
         beyond = robot.tree.links_moved_by(robot.moved_with(robot.joint_names[leader]))
         moved = [k for k, tip in enumerate(tips) if tip in beyond]

@@ -227,11 +227,11 @@ def robot_of(data: Any, path: Path) -> RobotDescription:
 
 
 def _limits_less_margin(keys: RobotKeys, joints: list[Joint], arm: int) -> tuple[Array, Array]:
-    """Lower and upper limits [J] to plan within: turning joints of the arm keep the margin."""
+    """Lower and upper limits [J] to plan within: revolute joints of the arm keep the margin."""
     margin = keys.number("arm_limit_margin", 0.0, 0.0, 1.0)
     lower = np.array([joint.lower for joint in joints])
     upper = np.array([joint.upper for joint in joints])
-    # An angle is no length: sliding joints may go to their ends.
+    # An angle is no length: prismatic joints may go to their ends.
     turning = np.array([joint.kind != "prismatic" for joint in joints[:arm]])
     lower[:arm] += margin * turning
     upper[:arm] -= margin * turning

@@ -189,7 +189,7 @@ def as_yaml(data: dict[str, Any]) -> str:
         return "\n".join(f"  {flow(name)}: {flow(value)}" for name, value in data[key].items())
 
     return f"""\
-# A first guess by `rgrasp robot init`. Units: m, rad, rad/s (sliding joints: m/s).
+# A first guess by `rgrasp robot init`. Units: m, rad, rad/s (prismatic joints: m/s).
 # Look at it with `rgrasp robot check`; what each key means: docs/your-robot.md.
 name: {flow(data["name"])}
 urdf: {flow(data["urdf"])}

@@ -31,7 +31,7 @@ class Box:
 
     Attributes:
         centre: [3], world.
-        axes: [3, 3], rows are its two level axes and the vertical.
+        axes: [3, 3], rows are its two horizontal axes and the vertical.
         half: [3], half its extent along each.
     """
 
@@ -53,7 +53,7 @@ def upright_box(points: Array) -> Box:
 
 
 def box_along(points: Array, level: Array) -> Box:
-    """The upright box of a cloud [N, 3] along a level direction [2], unit."""
+    """The upright box of a cloud [N, 3] along a horizontal direction [2], unit."""
     first, up = np.array([*level, 0.0]), np.array([0.0, 0.0, 1.0])
     axes = np.stack([first, np.cross(up, first), up])
     along = points @ axes.T

@@ -149,7 +149,7 @@ def _to_clear(outline: Array, box: Box, gap: float) -> float:
 
 
 def _away(box: Box, camera: Array) -> Array:
-    """The level direction [3] from the camera to the box, unit."""
+    """The horizontal direction [3] from the camera to the box, unit."""
     level = (box.centre - camera) * [1.0, 1.0, 0.0]
     return level / max(float(np.linalg.norm(level)), 1e-9)
 

@@ -51,7 +51,7 @@ def jaw_palm(
         faces: Its faces to choose from.
         jaws: The hand's.
         reach: Along z from the palm's origin to the middle between the jaws [m].
-        away: [3], level direction from the camera, unit.
+        away: [3], horizontal direction from the camera, unit.
         rng: Source of the choice and the noise.
 
     Returns:

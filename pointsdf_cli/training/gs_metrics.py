@@ -33,7 +33,7 @@ class Interval(NamedTuple):
 
 
 def f1(label: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
-    """F1 score 2 TP / (2 TP + FP + FN); 0 without any positives."""
+    """F1 score 2 TP / (2 TP + FP + FN) of grasps [N]; 0 without any positives."""
     return float(f1_score(label == 1, chosen, zero_division=0.0))
 
 
