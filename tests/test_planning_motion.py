@@ -303,7 +303,7 @@ def test_one_joint_over_a_long_way_takes_as_long_as_a_ramp_says() -> None:
     # little more: the full speed is not quite reached.
     trajectory = time_path(np.array([[0.0], [4.0]]), np.array([1.0]), 1.0)
     assert trajectory.times[-1] == pytest.approx(4 / CRUISE + RAMP, abs=0.01)
-    assert time_path(np.array([[1.0], [1.0]]), np.array([1.0])).times.tolist() == [0.0]
+    assert time_path(np.array([[1.0], [1.0]]), np.array([1.0]), 1.0).times.tolist() == [0.0]
 
 
 def test_a_motion_is_proven_free_only_below_the_sum_of_its_distances() -> None:

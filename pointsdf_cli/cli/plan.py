@@ -13,6 +13,7 @@ from pointsdf_cli.cli import common
 from pointsdf_cli.cli.plan_each import plan_each
 from pointsdf_cli.cli.plan_one import PlanOutputs, plan_one
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.option_checks import MARGIN, SPEED
 
 
 def plan(
@@ -103,10 +104,10 @@ def plan(
     ] = None,
     margin: Annotated[
         float, typer.Option(help="Preferred distance to the object, down to the clearance [m].")
-    ] = 0.004,
+    ] = MARGIN,
     speed: Annotated[
         float, typer.Option(help="Speed of the motion as a share of the joints' speed limits.")
-    ] = 0.5,
+    ] = SPEED,
     min_success: Annotated[
         float | None,
         typer.Option(

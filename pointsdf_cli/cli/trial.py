@@ -10,6 +10,7 @@ import typer
 
 from pointsdf_cli.cli import common
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.option_checks import MARGIN
 
 
 def trial(
@@ -55,7 +56,7 @@ def trial(
     ] = 0.001,
     margin: Annotated[
         float, typer.Option(help="Preferred distance to the object in plans [m].")
-    ] = 0.004,
+    ] = MARGIN,
     checkpoint: common.Checkpoint = None,
     grasp_checkpoint: common.GraspCheckpoint = None,
     robot: common.Robot = None,

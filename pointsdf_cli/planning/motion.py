@@ -19,7 +19,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.approach import retreat, with_arm
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
-from pointsdf_cli.planning.option_checks import check_speed
+from pointsdf_cli.planning.option_checks import SPEED, check_speed
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.timing import Trajectory, time_path
 from pointsdf_cli.robot.arm_chain import ArmChain
@@ -48,7 +48,7 @@ class MotionConfig:
 
     attempts: int = 3
     checks: int = 8000
-    speed: float = 0.5
+    speed: float = SPEED
 
     def __post_init__(self) -> None:
         check_speed(self.speed)

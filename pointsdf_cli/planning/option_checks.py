@@ -11,6 +11,11 @@ from pointsdf_cli.errors import InputError
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = get_args(choices.Method)
 
+MARGIN = 0.004
+"""Distance to the object that plans keep where they can [m]: reconstructions err by a few
+millimetres on the unseen side, and arms lag behind their trajectory by as much."""
+SPEED = 0.5
+"""Usual share of the joints' speed limits."""
 SLOWEST = 0.001
 """Least share of the joints' speed limits: a motion then takes an hour."""
 LARGEST_CLEARANCE = 0.015

@@ -42,8 +42,8 @@ class PlanChoices:
     solver: str = "sqp"
     kind: str = "auto"
     clearance: float | None = None
-    margin: float = 0.004
-    speed: float = 0.5
+    margin: float = option_checks.MARGIN
+    speed: float = option_checks.SPEED
     min_success: float | None = None
 
     def __post_init__(self) -> None:

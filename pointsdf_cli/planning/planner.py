@@ -26,7 +26,7 @@ from pointsdf_cli.planning.grid import GridField
 from pointsdf_cli.planning.likeliest import PREFERRED_SLACK
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
-from pointsdf_cli.planning.option_checks import check_distance
+from pointsdf_cli.planning.option_checks import MARGIN, check_distance
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.plan_artifact import Outcome
 from pointsdf_cli.planning.reasons import explain, warning
@@ -49,10 +49,6 @@ from pointsdf_cli.robot.lift import lift_path
 SUCCESSIVE_HALVING = (6, 11)
 """Iterations of `sqp` after which the worse half of the seeds stops: seeds that cost three times as
 much as the best after six iterations do not catch up."""
-
-MARGIN = 0.004
-"""Distance to the object that plans keep where they can [m]: reconstructions err by a few
-millimetres on the unseen side, and arms lag behind their trajectory by as much."""
 
 QUICK_CHECKS = 1000
 """Configurations checked at most by a brief motion search, with the margin and without: most

@@ -37,7 +37,7 @@ class Trajectory:
     positions: Array
 
 
-def time_path(path: Array, velocity: Array, speed: float = 0.5) -> Trajectory:
+def time_path(path: Array, velocity: Array, speed: float) -> Trajectory:
     """Compute the times of a path that begins and ends at rest.
 
     Args:

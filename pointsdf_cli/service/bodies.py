@@ -13,6 +13,7 @@ from pointsdf_cli.io.untrusted import parse_json
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_choice import TargetChoice
+from pointsdf_cli.planning.option_checks import MARGIN, SPEED
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
 from pointsdf_cli.service.body_parts import Body, CloudBody, EnvironmentBody, numbers
 
@@ -101,8 +102,8 @@ class PlanBody(SceneBody):
     solver: str = "sqp"
     kind: str = "auto"
     clearance: float | None = None
-    margin: float = 0.004
-    speed: float = 0.5
+    margin: float = MARGIN
+    speed: float = SPEED
     min_success: float | None = None
     ignore_others: bool = False
     obstacles: str = Field("reconstruction", description="Other objects: reconstruction or hull")
