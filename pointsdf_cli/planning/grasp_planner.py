@@ -35,6 +35,7 @@ from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.answer import NO_NOTES, Answer, PerceivedObject, PlanNotes
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.grid import GridConfig
 from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
@@ -45,6 +46,7 @@ from pointsdf_cli.planning.support import unseen_support
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
+    ObjectField,
     Target,
     absent_object,
     completed,
@@ -167,20 +169,10 @@ class GraspPlanner:
             first = views[0]
             grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
         with timed_stage(timings, "surface"):
-            if field == "none":
-                constraint = absent_object(world)
-            elif isinstance(field, str):
-                allowed = 'a field, "none" for no constraint, or None for the method\'s own field'
-                raise InputError(f"no field {field!r}", where="field", allowed=allowed)
-            elif field is not None:
-                constraint = given_object(field, world, grid)
+            if field is not None:
+                constraint = _given_constraint(field, world, grid)
             elif made:
-                # The score was trained on the network's field; the constraint adds the seen points
-                # that this field misses.
-                hidden = unseen_support(own, views) if table else np.zeros((0, 3))
-                known = np.concatenate([world, hidden])
-                whole = enclosing(own, made, hidden, grid) if len(hidden) else own
-                constraint = with_surface(with_seen_points(whole, known), made, known)
+                constraint = _whole_constraint(own, made, views, world, grid, table)
             else:
                 constraint = own
         reconstruction = made[0] if made else None
@@ -279,3 +271,34 @@ class GraspPlanner:
         sentence = f"{what[0].upper()}{what[1:]}."
         plan = no_plan(self.robot, "no_object", sentence, notes.warnings, notes.timings)
         return Answer(plan, None, None)
+
+
+def _given_constraint(field: Field | str, world: Array, grid: GridConfig) -> ObjectField:
+    """Object constraint by a field instead of the method's own, around points [N, 3], world.
+
+    Raises:
+        InputError: A name other than "none".
+    """
+    if field == "none":
+        return absent_object(world)
+    if isinstance(field, str):
+        allowed = 'a field, "none" for no constraint, or None for the method\'s own field'
+        raise InputError(f"no field {field!r}", where="field", allowed=allowed)
+    return given_object(field, world, grid)
+
+
+def _whole_constraint(
+    own: ObjectField,
+    made: Sequence[Reconstruction],
+    views: Sequence[View],
+    world: Array,
+    grid: GridConfig,
+    table: bool,
+) -> ObjectField:
+    """Object constraint by the reconstructions and by what their field misses: the seen points
+    [N, 3], and the hidden space under an object that could not stand. The score does not read
+    these, since it was trained on the network's field."""
+    hidden = unseen_support(own, views) if table else np.zeros((0, 3))
+    known = np.concatenate([world, hidden])
+    whole = enclosing(own, made, hidden, grid) if len(hidden) else own
+    return with_surface(with_seen_points(whole, known), made, known)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from sklearn.mixture import GaussianMixture
 from torch import Tensor
 
@@ -96,7 +97,4 @@ def _fit_kind(
 
 def mean_rotation(rotations: Tensor) -> Tensor:
     """The rotation [3, 3] nearest to all of [N, 3, 3] by squared chord length."""
-    u, _, v = torch.linalg.svd(rotations.mean(0))
-    flip = torch.ones(3, dtype=u.dtype)
-    flip[2] = torch.linalg.det(u @ v)
-    return u @ torch.diag(flip) @ v
+    return torch.tensor(Rotation.from_matrix(rotations.numpy()).mean().as_matrix())
