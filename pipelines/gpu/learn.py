@@ -178,8 +178,9 @@ class Training:
     def _in_parts(held_out: Views) -> Iterator[tuple[Tensor, int]]:
         """All views, each with the largest size of cloud that it has points for."""
         for size in held_out.sizes:
-            for views in held_out.of_size(size).split(64):
-                yield views, size
+            views = held_out.of_size(size)
+            for part in views.split(64) if len(views) else ():
+                yield part, size
 
 
 class Files:
