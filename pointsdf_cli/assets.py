@@ -31,13 +31,13 @@ def bundled_robots() -> list[str]:
 def robot_file(robot: Path | str | None = None) -> Path:
     """The YAML file of a robot that is given by its path or, if it is bundled, by its name.
 
-    None is the LBR4 with Allegro hand. A file of that name goes before the bundled robot.
+    None is the LBR4 with Allegro hand. A file of a bundled robot's name takes its place.
     """
     if robot is None:
         return asset_path(DEFAULT_ROBOT)
     path = Path(robot)
     bare = path.name == str(robot) and not path.suffix
-    if bare and not path.exists() and path.name in bundled_robots():
+    if bare and not path.is_file() and path.name in bundled_robots():
         return asset_path(f"robots/{path.name}.yaml")
     return path
 

@@ -56,6 +56,14 @@ def test_it_is_found_by_its_name_and_others_are_not(panda: RobotDescription) -> 
     assert "lbr4_allegro, lbr4_barrett, panda, ur5e_2f85" in str(caught.value)
 
 
+def test_a_folder_of_its_name_does_not_hide_a_bundled_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "panda").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_robot("panda").name == "panda"
+
+
 def test_limits_and_speeds_are_the_makers(panda: RobotDescription) -> None:
     lower = [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]
     upper = [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]
