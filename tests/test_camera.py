@@ -149,6 +149,17 @@ def test_a_camera_file_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_intrinsics(str(path)).K, K)
 
 
+@pytest.mark.parametrize(("cx", "cy"), [(319.5, 239.5), (320.0, 240.0)])
+def test_without_a_size_the_principal_point_is_the_middle(
+    tmp_path: Path, cx: float, cy: float
+) -> None:
+    """Centres of pixels are whole numbers, but many files call half the width the middle."""
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps({"K": [[575, 0, cx], [0, 575, cy], [0, 0, 1]]}))
+    camera = read_intrinsics(str(path))
+    assert (camera.width, camera.height) == (640, 480)
+
+
 def test_rays_of_a_mask_are_the_tangents_of_its_pixels() -> None:
     camera = Camera(640, 480, 500.0, 400.0, 320.0, 240.0)
     mask = np.zeros((3, 4), dtype=bool)

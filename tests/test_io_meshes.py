@@ -81,6 +81,18 @@ def test_an_inside_out_mesh_is_turned(tmp_path: Path, box_mesh: trimesh.Trimesh)
     assert enclosed_volume(mesh.vertices, mesh.faces) > 0
 
 
+def test_what_lies_in_a_cavity_is_kept() -> None:
+    """A ball with a cavity, in it a smaller ball with a cavity of its own."""
+    balls = [trimesh.creation.icosphere(3, radius) for radius in (1.0, 0.8, 0.5, 0.3)]
+    for hollow in balls[1::2]:
+        hollow.invert()
+    expected = sum(ball.volume for ball in balls)
+    soup = trimesh.util.concatenate(balls)
+    closed = close_mesh(soup.vertices, soup.faces)
+    assert enclosed_volume(closed.vertices, closed.faces) == pytest.approx(expected, rel=1e-6)
+    assert closed.repair == "2 pieces united"
+
+
 @pytest.mark.parametrize(
     ("shift", "size", "expected"),
     [

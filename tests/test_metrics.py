@@ -119,3 +119,10 @@ def test_failure_is_the_worst_score() -> None:
 def test_an_empty_mesh_is_refused() -> None:
     with pytest.raises(InputError, match="empty"):
         Shape(np.zeros((0, 3)), np.zeros((0, 3), int), np.random.default_rng(0))
+
+
+def test_a_mesh_without_area_is_refused() -> None:
+    line = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    for vertices, faces in ((line, [[0, 1, 2]]), (line, np.empty((0, 3), int))):
+        with pytest.raises(InputError, match="empty mesh"):
+            Shape(vertices, faces, np.random.default_rng(0))

@@ -370,7 +370,7 @@ def test_render_records_its_sensor_and_ideal_is_the_default(
             return file["cloud"][()], json.loads(file.attrs["config_json"])
 
     default, config = render("default")
-    assert "sensor" not in config  # files of earlier versions stay valid
+    assert config["sensor"] == SENSORS["ideal"].as_dict()
     np.testing.assert_array_equal(render("ideal", "--sensor", "ideal")[0], default)
     cloud, config = render("stereo", "--sensor", "stereo")
     assert config["sensor"] == SENSORS["stereo"].as_dict()
@@ -409,3 +409,13 @@ def test_a_displaced_silhouette_stays_in_the_image() -> None:
     assert min(p.v.min() for p in found) == 0
     assert max(p.v.max() for p in found) > 40  # beyond the exact silhouette
     assert min(p.u.min() for p in found) < 600
+
+
+def test_edges_reach_as_far_as_the_parameter_allows() -> None:
+    camera = Camera(200, 40, 3200.0, 3200.0, 99.5, 19.5)
+    depth = np.full((40, 200), 1.0, np.float32)
+    depth[:, :20] = 2.0
+    sensor = replace(load_sensor("structured-light"), missing_reach=50.0)
+    measured = sensor.observe(depth, camera, np.random.default_rng(0))
+    assert measured.shape == depth.shape
+    assert (measured[:, 30:90] == 0).mean() > 3 * (measured[:, 190:] == 0).mean()

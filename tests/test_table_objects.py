@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.hollow import whole_bowls
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import _upright, find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
@@ -312,3 +313,32 @@ def test_a_ceiling_counts_less_than_a_table() -> None:
     # The camera's y points down: a table's normal up to the camera is -y.
     assert _upright(np.array([0.0, -1.0, 0.0, -1.0])) == 1.0
     assert _upright(np.array([0.0, 1.0, 0.0, -1.0])) == 0.25
+
+
+@pytest.mark.parametrize("strip", [0.0, 0.012])
+def test_two_walls_of_a_bowl_are_joined_by_a_floor_in_one_or_two_parts(strip: float) -> None:
+    """Nothing returned at the sides of the rim, nor from a strip of the floor."""
+
+    def wall(first: float, last: float) -> np.ndarray:
+        share, angle = np.meshgrid(np.linspace(0, 1, 22), np.radians(np.linspace(first, last, 90)))
+        share, angle = share.ravel(), angle.ravel()
+        radius = 0.05 + 0.03 * share
+        places = radius * np.cos(angle), radius * np.sin(angle), 0.006 + 0.045 * share
+        return np.stack(places, axis=1)
+
+    def ground(half: float, step: float, height: float) -> np.ndarray:
+        x, y = np.meshgrid(*[np.arange(-half, half, step)] * 2)
+        return np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
+
+    far, near = wall(101, 259), wall(-79, 79)
+    floor, table = ground(0.05, 0.0025, 0.003), ground(0.3, 0.004, 0.0)
+    from_axis = np.hypot(floor[:, 0], floor[:, 1])
+    floor = floor[(from_axis < 0.048) & (np.abs(floor[:, 1]) >= strip)]
+    table = table[np.hypot(table[:, 0], table[:, 1]) > 0.09]
+    group = np.repeat([0, 1], [len(far), len(near)])
+    flat = np.concatenate([floor, table])
+    camera = np.array([0.65, 0.0, 0.55])
+    joined, below = whole_bowls(np.concatenate([far, near]), group, flat, camera)
+    assert len(np.unique(joined)) == 1
+    assert (below[: len(floor)] >= 0).mean() > 0.7  # the near wall hides the rest
+    assert (below[len(floor) :] < 0).all()

@@ -29,6 +29,8 @@ FEWEST = 20
 """Least number of cells of a floor that joins two walls."""
 WIDEST = 0.45
 """Largest width of a group [m]; wider ones are skipped."""
+OPEN = -2
+"""Index and group of a cell of open table."""
 
 
 def whole_bowls(points: Array, group: Labels, flat: Array, camera: Array) -> tuple[Labels, Labels]:
@@ -73,8 +75,15 @@ def _claim(
     on_island: Labels,
     border: Labels,
 ) -> None:
-    """Assign an island (indices of flat points) to group `one`, and join its other wall if any."""
-    groups, counts = np.unique(border, return_counts=True)
+    """Assign an island (indices of flat points) to group `one`, and join its other wall if any.
+
+    Args:
+        points, joined, flat, floor: As in `whole_bowls`; `joined` and `floor` are changed.
+        one: The group.
+        on_island, border: As `_islands` returns them.
+    """
+    # An earlier island may have joined the groups of this one's border.
+    groups, counts = np.unique(np.where(border < 0, OPEN, joined[border]), return_counts=True)
     share = dict(zip(groups.tolist(), (counts / len(border)).tolist(), strict=True))
     mine = share.pop(one, 0.0)
     if mine >= OWN:
@@ -121,7 +130,8 @@ def _islands(
     """Islands of flat points in the window of a group.
 
     Returns:
-        For each the indices of its flat points, and the groups [B] of the cells at its border.
+        For each the indices of its flat points, and for the cells at its border the indices [B] of
+        their points, `OPEN` for open table.
     """
     low = sight[group == one].min(axis=0) - 20 * size
     shape = np.ceil((sight[group == one].max(axis=0) - low) / size).astype(int) + 21
@@ -135,7 +145,7 @@ def _islands(
 
     things = np.full(shape, -1, dtype=np.int64)
     ok, at = cells(sight)
-    things[at] = group[ok]
+    things[at] = ok
     ok, flat_at = cells(flat_sight)
     low_cells = np.zeros(shape, dtype=bool)
     low_cells[flat_at] = True
@@ -158,7 +168,7 @@ def _islands(
         # Other flat cells beside it are open table, which does not lie in a bowl.
         beside_it = scipy.ndimage.binary_dilation(island, square, 2) & ~island
         open_ground = int((low_cells[wide][beside_it]).sum())
-        border = np.concatenate([border[border >= 0], np.full(open_ground, -2)])
+        border = np.concatenate([border[border >= 0], np.full(open_ground, OPEN)])
         if len(border):
             found.append((ok[label[flat_at] == k], border))
     return found

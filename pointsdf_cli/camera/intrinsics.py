@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Mapping
@@ -51,7 +52,8 @@ def read_intrinsics(
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
         width, height: Size of the image; a file that gives another one is refused. If None, the
-            camera's size is the file's, or twice the principal point.
+            camera's size is the file's, or else the even one whose middle is next to the principal
+            point: 640 for 319.5 and for 320.
         image: Name of the image, for messages.
 
     Raises:
@@ -108,8 +110,8 @@ def _read(
             where=path,
             allowed="focal lengths and principal point in pixels",
         )
-    width = max(1, round(2 * cx)) if width is None else width
-    height = max(1, round(2 * cy)) if height is None else height
+    width = 2 * max(1, math.ceil(cx)) if width is None else width
+    height = 2 * max(1, math.ceil(cy)) if height is None else height
     with as_input_error(path):
         camera = Camera(width, height, fx, fy, cx, cy)
     if not (0 <= cx < width and 0 <= cy < height):

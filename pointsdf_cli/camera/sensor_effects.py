@@ -268,11 +268,11 @@ def depth_edges(inverse: Image, relative: float) -> Mask:
     return found
 
 
-def edge_distance(edges: Mask, farthest: int) -> NDArray[np.uint8]:
+def edge_distance(edges: Mask, farthest: int) -> NDArray[np.uint16]:
     """Distance [h, w] to the nearest edge in steps along rows and columns [px], at most
     `farthest`."""
     near = edges.astype(np.uint8)
-    distance = np.full(edges.shape, farthest, dtype=np.uint8)
+    distance = np.full(edges.shape, farthest, dtype=np.uint16)
     for step in range(farthest):
         if step:
             near = _dilated(near)

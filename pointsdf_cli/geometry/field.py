@@ -1,4 +1,4 @@
-"""Types of signed distance fields: metres, world frame, negative inside."""
+"""Types of signed distance fields: metres, negative inside."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.arrays import Array
 
 FieldFunction = Callable[[Array], NDArray[np.floating[Any]]]
-"""Signed distances [N] at points [N, 3], without gradients."""
+"""Signed distances [N] at points [N, 3], without gradients, in the frame that its user states."""
 
 
 class Field(Protocol):

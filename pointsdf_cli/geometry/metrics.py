@@ -59,7 +59,9 @@ class Shape:
         samples: int = SAMPLES,
     ) -> None:
         vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-        if len(faces) == 0 or not np.ptp(vertices[np.unique(faces)], axis=0).any():
+        corners = vertices[faces].reshape(-1, 3, 3)
+        sides = corners[:, 1:] - corners[:, :1]
+        if not np.cross(sides[:, 0], sides[:, 1]).any():
             raise InputError("an empty mesh cannot be compared", allowed="a closed surface")
         used = vertices[np.unique(faces)]
         self.low, self.high = used.min(axis=0), used.max(axis=0)

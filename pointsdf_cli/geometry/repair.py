@@ -102,7 +102,8 @@ def _solid(vertices: Array, faces: Indices) -> manifold3d.Manifold:
 
 
 def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
-    """Overlapping pieces made one; pieces turned inward inside others stay as cavities.
+    """Overlapping pieces made one; pieces turned inward inside others stay as cavities, and what
+    lies in a cavity stays, too.
 
     A piece turned inward outside all others is a body with reversed faces. If it were treated as a
     cavity, a mug would lose its handle.
@@ -116,16 +117,39 @@ def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
     outside = [(piece - united).volume() > OUTSIDE * piece.volume() for piece in turned]
     wrong = [piece for piece, is_outside in zip(turned, outside, strict=True) if is_outside]
-    if wrong:
-        united = manifold3d.Manifold.batch_boolean([united, *wrong], manifold3d.OpType.Add)
-    for piece, is_outside in zip(turned, outside, strict=True):
-        if not is_outside:
-            united = united - piece
+    cavities = [piece for piece, is_outside in zip(turned, outside, strict=True) if not is_outside]
+    if wrong or cavities:
+        united = _hollow([*bodies, *wrong], cavities)
     count = len(bodies) + len(wrong)
     notes = [f"{len(wrong)} of {len(pieces)} pieces turned outward"] if wrong else []
     if count > 1:
         notes.append(f"{count} pieces united")
     return united, ", ".join(notes)
+
+
+def _hollow(
+    bodies: list[manifold3d.Manifold], cavities: list[manifold3d.Manifold]
+) -> manifold3d.Manifold:
+    """The union of bodies, each without the cavities inside it."""
+    parts, left = list(bodies), []
+    for cavity in cavities:
+        around = [k for k, body in enumerate(bodies) if _is_inside(cavity, body)]
+        for k in around:
+            parts[k] = parts[k] - cavity
+        if not around:
+            left.append(cavity)
+    united = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add)
+    for cavity in left:  # inside several overlapping bodies together
+        united = united - cavity
+    return united
+
+
+def _is_inside(inner: manifold3d.Manifold, outer: manifold3d.Manifold) -> bool:
+    """Whether a solid lies in another; a cavity may break through its body's surface."""
+    box, around = np.array(inner.bounding_box()), np.array(outer.bounding_box())
+    if (box[3:] < around[:3]).any() or (box[:3] > around[3:]).any():
+        return False
+    return bool((inner - outer).volume() <= OUTSIDE * inner.volume())
 
 
 def _turned(solid: manifold3d.Manifold) -> manifold3d.Manifold:
