@@ -59,9 +59,7 @@ class Shape:
         samples: int = SAMPLES,
     ) -> None:
         vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-        corners = vertices[faces].reshape(-1, 3, 3)
-        sides = corners[:, 1:] - corners[:, :1]
-        if not np.cross(sides[:, 0], sides[:, 1]).any():
+        if len(faces) == 0 or not _has_area(vertices[faces]):
             raise InputError("an empty mesh cannot be compared", allowed="a closed surface")
         used = vertices[np.unique(faces)]
         self.low, self.high = used.min(axis=0), used.max(axis=0)
@@ -89,6 +87,12 @@ class Shape:
         """Distance [N] to, and index [N] of, the surface sample nearest to each point [N, 3]."""
         index, squared = self._tree.knn_search(np.ascontiguousarray(points), 1)
         return np.sqrt(squared.numpy()[:, 0]), index.numpy()[:, 0]
+
+
+def _has_area(triangles: Array) -> bool:
+    """Whether any of triangles [F, 3, 3] has an area."""
+    sides = triangles[:, 1:] - triangles[:, :1]
+    return bool(np.cross(sides[:, 0], sides[:, 1]).any())
 
 
 def compare(
