@@ -191,7 +191,6 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
         (("--grasps", grasps, "--encoder", "resnet"), "geometry, pointsdf, voxelcnn"),
         (("--grasps", grasps, "--mode", "frozen"), "fixed, fine-tuned, scratch"),
         (("--grasps", grasps, "--mode", "scratch"), "--encoder pointsdf"),
-        (("--grasps", grasps, "--encoder", "voxelcnn"), "train-sdf"),
         (("--grasps", grasps, "--sdf", tmp_path / "none"), "not a checkpoint"),
         (("--grasps", grasps, "--encoder", "voxelcnn", "--sdf", default_checkpoint()), "voxelcnn"),
         (("--grasps", grasps, "--resume"), "nothing to resume"),

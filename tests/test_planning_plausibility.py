@@ -83,7 +83,7 @@ def test_an_object_in_the_air_is_doubted() -> None:
     assert in_the_air([view(top), view(top, overhead)], 0.0) != ""
 
 
-def test_doubts_begin_at_their_bounds() -> None:
+def test_warnings_begin_at_their_bounds() -> None:
     for off, doubted in ((0.007, False), (0.013, True)):
         up = look_at((1.2, 0.0, -off), (0.6, 0.0, 0.05))
         assert bool(below_table(view(BOX, up), 0.0)) == doubted

@@ -266,7 +266,7 @@ class Scene:
     robot, shape = ROBOT, None
     options = SimpleNamespace(planner=PlannerConfig())
 
-    def scene_warnings(self) -> list[str]:
+    def warnings(self) -> list[str]:
         return []
 
     def see(self, views: Any, seed: int, table: bool = True) -> object:

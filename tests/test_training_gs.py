@@ -40,6 +40,7 @@ from pointsdf_cli.training.gs_loop import (
     train_success,
     weights_of,
 )
+from pointsdf_cli.training.gs_variants import POINTSDF, VOXELCNN, Variant, reconstruction_of
 
 ROBOT = load_robot()
 
@@ -433,3 +434,8 @@ def test_rare_successes_weigh_more() -> None:
     learner: Any = SimpleNamespace(modules={"network": torch.nn.Linear(1, 1)})
     run = _Run(data, split, learner, SuccessTraining())
     assert run._class_weight.tolist() == pytest.approx([0.5 / 0.8, 0.5 / 0.2])
+
+
+def test_each_encoder_has_a_bundled_reconstruction() -> None:
+    for encoder, name in ((VOXELCNN, "voxelcnn"), (POINTSDF, "pointsdf_real")):
+        assert reconstruction_of(Variant(encoder, "fixed"), None).name == name
