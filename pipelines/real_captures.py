@@ -128,7 +128,7 @@ class Page:
         try:
             pictures[1] = self._segment(capture, stem)
             view = self._object(capture)
-            said += [line.removeprefix(f"{capture.path}: ") for line in view.said[-1:]]
+            said += [line.removeprefix(f"{capture.path}: ") for line in view.notes[-1:]]
             pictures[2] = self._mesh(capture, view, stem, said)
             pictures[3] = self._plan(capture, stem, said)
         except RgraspError as error:
