@@ -31,7 +31,7 @@ def bundled_robots() -> list[str]:
 def robot_file(robot: Path | str | None = None) -> Path:
     """The YAML file of a robot that is given by its path or, if it is bundled, by its name.
 
-    None is the LBR4 with Allegro hand. A file of a bundled robot's name takes its place.
+    None is the LBR4 with Allegro hand. A file with a bundled robot's name goes before it.
     """
     if robot is None:
         return asset_path(DEFAULT_ROBOT)

@@ -61,7 +61,7 @@ class Candidate:
         kind: Kind of its seed, "side" or "top".
         closing_slack: The same as `obstacle_slack` while the hand closes [m]; infinite if not
             checked.
-        has_prior: Whether the objective includes the prior; only such objectives compare.
+        has_prior: Whether the objective includes the prior; only such objectives are comparable.
     """
 
     x: Array
