@@ -117,8 +117,8 @@ Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper
 Checkpoint = Annotated[
     Path | None,
     typer.Option(
-        help="Reconstruction weights [default: those that the success weights name, else "
-        "pointsdf_real]."
+        help="Reconstruction weights [default: the bundled ones that the success weights name, "
+        "else pointsdf_real]."
     ),
 ]
 GraspCheckpoint = Annotated[

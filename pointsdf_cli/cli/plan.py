@@ -41,8 +41,7 @@ def plan(
         typer.Option(
             metavar="N|U,V|X,Y,Z|any",
             help="The object: its number in the list of `rgrasp segment`, a pixel, a place in the "
-            "world [m], or any: the first that can be grasped [default: of those within "
-            "reach the nearest to the middle of the image].",
+            "world [m], or any: the first that can be grasped [default: number 1].",
         ),
     ] = None,
     camera_pose: Annotated[
