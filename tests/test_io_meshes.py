@@ -124,6 +124,44 @@ def test_a_hollow_that_breaks_through_the_top_is_open(tmp_path: Path) -> None:
     assert mesh.repair == "none"
 
 
+def _hollow_ball() -> trimesh.Trimesh:
+    outer, inner = (trimesh.creation.icosphere(3, radius) for radius in (0.1, 0.09))
+    inner.invert()
+    return trimesh.util.concatenate([outer, inner])
+
+
+def test_a_doubled_face_or_a_hole_does_not_fill_a_cavity() -> None:
+    ball = _hollow_ball()
+    true = enclosed_volume(ball.vertices, ball.faces)
+    # A vertex split in two: the last face has a copy of its first corner.
+    split = np.vstack([ball.vertices, ball.vertices[ball.faces[-1, :1]]])
+    last = [len(ball.vertices), *ball.faces[-1, 1:]]
+    for vertices, faces, repair in (
+        (ball.vertices, np.vstack([ball.faces, ball.faces[:1]]), "vertices merged"),
+        (split, np.vstack([ball.faces[:-1], [last]]), "vertices merged"),
+        (ball.vertices, ball.faces[1:], "holes filled"),
+    ):
+        closed = close_mesh(vertices, faces)
+        assert closed.repair == repair
+        assert enclosed_volume(closed.vertices, closed.faces) == pytest.approx(true, rel=1e-3)
+
+
+def test_a_soup_with_doubled_faces_keeps_its_shape() -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    soup = np.concatenate([box.triangles, box.triangles[:3]]).reshape(-1, 3)
+    closed = close_mesh(soup, np.arange(len(soup)).reshape(-1, 3))
+    assert closed.repair == "vertices merged"
+    assert enclosed_volume(closed.vertices, closed.faces) == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_a_body_that_nearly_fills_its_cavity_is_kept() -> None:
+    shell, core = _hollow_ball(), trimesh.creation.icosphere(3, 0.085)
+    both = trimesh.util.concatenate([shell, core])
+    closed = close_mesh(both.vertices, both.faces)
+    true = enclosed_volume(both.vertices, both.faces)
+    assert enclosed_volume(closed.vertices, closed.faces) == pytest.approx(true, rel=1e-5)
+
+
 def test_a_missing_triangle_is_filled_and_recorded(
     tmp_path: Path, box_mesh: trimesh.Trimesh
 ) -> None:

@@ -203,6 +203,31 @@ def test_part_of_an_older_file_is_thrown_away(server: Server, tmp_path: Path) ->
     assert (tmp_path / "file").read_bytes() == newer
 
 
+def test_part_of_an_older_file_never_gets_the_tag_of_the_newer(
+    server: Server, tmp_path: Path
+) -> None:
+    path = tmp_path / "a"
+    old, new = b"a" * 3000, b"b" * 4000
+    part, tag = tmp_path / "a.part", tmp_path / "a.tag"
+    part.write_bytes(old[:500])
+    tag.write_text(f'"{hashlib.md5(old).hexdigest()}"')
+    server.files["/a"] = new
+    with pytest.raises(InputError):
+        download(server.url + "a", path, Patience(largest=2000))
+    download(server.url + "a", path, Patience(largest=5000))
+    assert path.read_bytes() == new
+
+
+def test_a_header_with_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
+    archive = tmp_path / "evil.tgz"
+    with tarfile.open(archive, "w:gz", format=tarfile.PAX_FORMAT) as tar:
+        member = tarfile.TarInfo("x/nontextured.ply")
+        member.pax_headers = {"GNU.sparse.major": "0", "GNU.sparse.size": "abc"}
+        tar.addfile(member)
+    with pytest.raises(InputError, match="not a readable tar archive"):
+        extract_mesh(archive, tmp_path / "mesh")
+
+
 def test_server_without_ranges_is_asked_from_the_start(server: Server, tmp_path: Path) -> None:
     data = good_archive()
     url = server.put(NAME, data)

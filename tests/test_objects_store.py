@@ -193,6 +193,20 @@ def test_another_seed_does_not_mix_a_second_series_in(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.ply"))) == 3
 
 
+def test_shards_of_two_seeds_do_not_mix(tmp_path: Path) -> None:
+    make_objects(tmp_path, 4, seed=0, shard="0/2")
+    before = sorted(tmp_path.iterdir())
+    for shard, force in (("1/2", False), ("1/2", True)):
+        with pytest.raises(InputError, match="of another seed"):
+            make_objects(tmp_path, 4, seed=1, shard=shard, force=force)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_negative_seed_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="seed is -1"):
+        make_objects(tmp_path, 1, seed=-1)
+
+
 def test_what_another_shard_is_writing_is_not_listed(tmp_path: Path) -> None:
     make_objects(tmp_path, 1, seed=1, families=["lemon"])
     whole = (tmp_path / "00000_lemon.ply").read_bytes()

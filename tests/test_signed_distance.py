@@ -117,6 +117,12 @@ def test_label_jitter_has_the_paper_s_variances() -> None:
     assert near.std() == pytest.approx(np.sqrt(0.00025), rel=0.05)
 
 
+def test_shares_that_both_round_up_leave_no_negative_rest(box_mesh: trimesh.Trimesh) -> None:
+    vertices, faces = np.asarray(box_mesh.vertices), box_mesh.faces.astype(np.int32)
+    samples = sample_sdf(vertices, faces, SamplingConfig(4003, 0.5, 0.5), np.random.default_rng(0))
+    assert samples.points.shape == (4003, 3)
+
+
 def test_a_surface_that_crosses_itself_is_refused() -> None:
     # A box with its top half turned inside out through the bottom: volume and signs disagree.
     mesh = trimesh.creation.box((0.1, 0.1, 0.1))

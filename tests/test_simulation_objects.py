@@ -10,6 +10,7 @@ import trimesh
 from manifold3d import Manifold, Mesh64, OpType
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.stable_poses import (
     draw_pose,
     stable_poses,
@@ -154,6 +155,14 @@ def test_box_has_six_poses_and_its_margins_are_those_of_geometry() -> None:
         assert pose.margin == pytest.approx(np.arctan2(foot[0] / 2, pose.height / 2), abs=1e-6)
         placed = np.asarray(box.vertices) @ pose.T_table_object[:3, :3].T
         assert (placed + pose.T_table_object[:3, 3])[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_ball_of_many_faces_stands_on_the_table_and_not_in_it() -> None:
+    ball = np.asarray(trimesh.creation.icosphere(4, 0.15).vertices)  # its hull is simplified
+    for pose in stable_poses(ball, np.zeros(3))[:5]:
+        heights = apply_transform(pose.T_table_object, ball)[:, 2]
+        assert heights.min() == pytest.approx(0, abs=1e-9)
+        assert pose.height == pytest.approx(heights.max(), abs=1e-9)
 
 
 def test_a_centre_of_mass_outside_is_refused() -> None:

@@ -128,6 +128,20 @@ def test_sphere_and_gradient_in_closed_form():
     assert (np.abs(gradients - np.stack(slopes, axis=1)).max(axis=1) < 1e-3).mean() > 0.98
 
 
+def test_a_wall_thinner_than_the_tables_cells_is_solid():
+    outline = [[0, 0], [0.108, 0], [0.12, 0.25], [0.1188, 0.25], [0.1068, 0.0012], [0, 0.0012]]
+    tin = BodyOfRevolution.of(np.array([0.0, 0.0, 1.0]), np.zeros(3), np.array(outline))
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-0.07, 0.07, (300, 2)), np.full(300, 0.0006)])
+    values, gradients = tin.sdf_and_gradient(floor + [0, 0, 1e-4])
+    assert values == pytest.approx(np.full(300, -0.0005), abs=1e-9)
+    assert gradients == pytest.approx(np.tile([0.0, 0.0, 1.0], (300, 1)), abs=1e-9)
+    share = rng.uniform(0.05, 0.95, 300)
+    wall = tin.at(0.1074 + 0.012 * share, 0.25 * share, rng.uniform(0, 2 * np.pi, 300))
+    assert tin.sdf(wall) == pytest.approx(tin.exact_sdf(wall), abs=1e-9)
+    assert (tin.sdf(wall) < 0).all()
+
+
 def test_axis_of_a_cup():
     pose = camera()
     points = oriented_points(seen(body(CUP), pose)[::3])

@@ -1,7 +1,8 @@
 """Body of revolution: signed distance of an outline that is turned about an axis.
 
 The distance in space is the distance in the half plane of radius and height. For many queries it is
-tabulated there once and interpolated, so that a query costs two lookups.
+tabulated there once and interpolated, so that a query costs two lookups. Near the surface, where a
+wall may be thinner than a cell of the table, it is computed.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class BodyOfRevolution:
         return self.profile.outline
 
     def sdf(self, points: Array) -> Array:
-        """Signed distances [N] m at points [N, 3], negative inside."""
+        """Signed distances [N] m at points [N, 3], negative inside; far away, lower bounds."""
         radius, height, _ = self._place(points)
         return self._look_up(radius, height)[0]
 
@@ -83,7 +84,7 @@ class BodyOfRevolution:
         return _signed_distance(np.stack([radius, height], axis=1), self.outline)
 
     def sdf_and_gradient(self, points: Array) -> tuple[Array, Array]:
-        """Signed distances [N] m and their gradients [N, 3]."""
+        """Signed distances [N] m, far away lower bounds, and their gradients [N, 3]."""
         radius, height, radial = self._place(points)
         values, by_radius, by_height = self._look_up(radius, height)
         return values, by_radius[:, None] * radial + by_height[:, None] * self.direction
@@ -149,6 +150,15 @@ class BodyOfRevolution:
         for k, slope in enumerate((by_radius, by_height)):
             out = beyond[:, k]
             slope[away] = np.where(out != 0, out, there * slope[away]) / total
+        near = np.flatnonzero(np.abs(value) < sides.max())
+        if len(near):
+            places = np.stack([radius[near], height[near]], axis=1)
+            gap = outline_gap(places, self.outline)
+            sign = np.where(_inside(places, self.outline), -1.0, 1.0)
+            value[near] = exact = sign * np.linalg.norm(gap, axis=1)
+            on = exact == 0  # there the table's slopes are as good
+            for k, slope in enumerate((by_radius, by_height)):
+                slope[near] = np.where(on, slope[near], gap[:, k] / np.where(on, 1.0, exact))
         return value, by_radius, by_height
 
 
@@ -160,6 +170,11 @@ def _signed_distance(places: Array, outline: Array) -> Array:
 def outline_distance(places: Array, outline: Array) -> Array:
     """Distances [N] of radii and heights [N, 2] to an outline [K, 2]; the axis between its ends is
     no part of it."""
+    return np.asarray(np.linalg.norm(outline_gap(places, outline), axis=1))
+
+
+def outline_gap(places: Array, outline: Array) -> Array:
+    """Vectors [N, 2] from the nearest points of an outline [K, 2] to radii and heights [N, 2]."""
     begin, way = outline[:-1], np.diff(outline, axis=0)
     length = np.linalg.norm(way, axis=1)
     counts = np.ceil(length / STEP).astype(int).clip(min=1)
@@ -172,7 +187,8 @@ def outline_distance(places: Array, outline: Array) -> Array:
     away = places[:, None] - begin[asked]
     along = (away * way[asked]).sum(axis=-1) / np.maximum(length[asked] ** 2, 1e-18)
     gap = away - np.clip(along, 0.0, 1.0)[..., None] * way[asked]
-    return np.asarray(np.sqrt((gap * gap).sum(axis=-1).min(axis=1)))
+    best = (gap * gap).sum(axis=-1).argmin(axis=1)
+    return np.asarray(np.take_along_axis(gap, best[:, None, None], axis=1)[:, 0])
 
 
 def _inside(places: Array, outline: Array) -> Mask:

@@ -178,7 +178,6 @@ def _keep_large_parts(
     under_face = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     volume = np.abs(np.bincount(part[faces[:, 0]], under_face, count))
     keep = volume >= smallest * volume.max()
-    keep[volume.argmax()] = True
     if smallest == 1:
         keep = np.arange(count) == volume.argmax()
     kept_vertex = keep[part]

@@ -67,7 +67,8 @@ def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> ND
         rules: When to ask and where to look.
     """
     stride = (grid.side - 1) // coarse
-    cells = _coarse_cells(grid, stride, rules.slope)
+    # Cells that a wrong bound drops are found again only where finer cells lead to them.
+    cells = _coarse_cells(grid, stride, rules.slope if stride > 1 else np.inf)
     rows = grid.corner_rows(cells, stride)
     _settle_crossed_edges(grid, rows)
     near = _straddling(grid.cases(rows))

@@ -36,9 +36,10 @@ class ClosedMesh:
 def close_mesh(vertices: Array, faces: Indices) -> ClosedMesh:
     """Close, orient and unite a triangle soup.
 
-    In order: as it is, where it is a manifold already; with duplicate vertices merged, holes
-    filled and faces turned outward; else re-meshed where its generalised winding number (Jacobson
-    et al. 2013) passes one half. Pieces that overlap or touch are united, cavities kept.
+    In order: as it is, where it is a manifold already; with vertices merged and doubled faces
+    removed; with holes filled; with faces turned outward, piece by piece; else re-meshed where its
+    generalised winding number (Jacobson et al. 2013) passes one half. Pieces that overlap or touch
+    are united, cavities kept.
 
     Raises:
         InputError: The soup encloses no volume.
@@ -51,16 +52,22 @@ def close_mesh(vertices: Array, faces: Indices) -> ClosedMesh:
         # What no face uses would count in the size, and may be NaN.
         used, faces = np.unique(faces, return_inverse=True)
         vertices, faces = vertices[used], faces.reshape(-1, 3)
-        mesh = trimesh.Trimesh(vertices, faces, process=True, validate=True)
-        whole = _as_manifold(mesh.vertices, mesh.faces)
-        if whole is not None:
-            steps.append("vertices merged")
-    if whole is None:
-        trimesh.repair.fill_holes(mesh)
-        trimesh.repair.fix_normals(mesh, multibody=True)
-        whole = _as_manifold(mesh.vertices, mesh.faces)
-        if whole is not None:
-            steps.append("holes filled")
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        # Vertices first: the copies of a face in a soup have corners of their own.
+        mesh.merge_vertices()
+        mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
+        # Turned last, since pieces that bound cavities are turned too.
+        for step, mend in (
+            ("vertices merged", None),
+            ("holes filled", trimesh.repair.fill_holes),
+            ("holes filled, faces turned outward", trimesh.repair.fix_normals),
+        ):
+            if mend is not None:
+                mend(mesh)
+            whole = _as_manifold(mesh.vertices, mesh.faces)
+            if whole is not None:
+                steps.append(step)
+                break
     if whole is None:
         whole = _remesh(vertices, faces)
         steps.append(f"re-meshed from winding numbers at {REMESH_RESOLUTION}")
@@ -145,7 +152,9 @@ def _hollow(
 
 
 def _is_inside(inner: manifold3d.Manifold, outer: manifold3d.Manifold) -> bool:
-    """Whether a solid lies in another; a cavity may break through its body's surface."""
+    """Whether a solid lies in a larger one; a cavity may break through its body's surface."""
+    if outer.volume() <= inner.volume():
+        return False
     box, around = np.array(inner.bounding_box()), np.array(outer.bounding_box())
     if (box[3:] < around[:3]).any() or (box[:3] > around[3:]).any():
         return False

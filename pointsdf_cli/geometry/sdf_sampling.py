@@ -79,7 +79,8 @@ def sample_sdf(
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre, unit = (low + high) / 2, MARGIN * float((high - low).max())
-    wide, near = round(config.points * config.wide_share), round(config.points * config.near_share)
+    wide = round(config.points * config.wide_share)
+    near = min(round(config.points * config.near_share), config.points - wide)
     uniform = config.points - wide - near
     points = np.empty((config.points, 3), dtype=np.float32)
     start = 0

@@ -48,7 +48,7 @@ def stable_poses(vertices: Array, centre_of_mass: Array) -> list[StablePose]:
         InputError: It has none (degenerate geometry).
     """
     try:
-        hull = trimesh.convex.convex_hull(vertices)
+        whole = hull = trimesh.convex.convex_hull(vertices)
         if len(hull.vertices) > 400:
             # Scans have thousands of hull faces; a few hundred describe how they rest.
             hull = hull.simplify_quadric_decimation(face_count=600).convex_hull
@@ -68,12 +68,15 @@ def stable_poses(vertices: Array, centre_of_mass: Array) -> list[StablePose]:
     poses = []
     for matrix, probability in zip(transforms, probabilities, strict=True):
         rotation = matrix[:3, :3]
-        placed = np.asarray(hull.vertices) @ rotation.T
         mass = rotation @ centre_of_mass
-        floor = placed[:, 2].min()
+        heights = np.asarray(whole.vertices) @ rotation[2]
+        floor = heights.min()
         pose = transform(rotation, [-mass[0], -mass[1], -floor])
-        height = float(np.ptp(placed[:, 2]))
-        margin = tilt_margin(placed - [0, 0, floor], mass - [0, 0, floor])
+        height = float(np.ptp(heights))
+        # The simplified hull lies up to some millimetres within the mesh.
+        placed = np.asarray(hull.vertices) @ rotation.T
+        under = placed[:, 2].min()
+        margin = tilt_margin(placed - [0, 0, under], mass - [0, 0, under])
         poses.append(StablePose(pose, float(probability), height, margin))
     return sorted(poses, key=lambda pose: -pose.probability)
 

@@ -99,7 +99,8 @@ class Vessel:
 
     def cavity(self, count: int = 250) -> Array:
         """Places [K, 3] within the cavity, a millimetre or more from the wall and the opening."""
-        low, high = np.quantile(self.filled.outline[:, 1], [0, 1])
+        heights = self.filled.outline[:, 1]
+        low, high = heights.min(), heights.max()
         away, turn, up = np.random.default_rng(0).random((3, 8 * count))
         radius = self.filled.radius * np.sqrt(away)
         places = self.wall.at(radius, low + (high - low) * up, 2 * np.pi * turn)

@@ -14,8 +14,11 @@ LARGEST_MEMBER = 256 * 1024**2
 MOST_MEMBERS = 10_000
 # What is wanted, best first: the watertight mesh, then the same as STL, then the textured one.
 WANTED = ("nontextured.ply", "nontextured.stl", "textured.obj")
-# OverflowError: a member whose size no file position can hold.
-_UNREADABLE = (tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, OSError, OverflowError)
+# OverflowError: a member whose size no file position can hold. ValueError: a header's number.
+_UNREADABLE = (
+    *(tarfile.TarError, zlib.error, lzma.LZMAError),
+    *(EOFError, OSError, OverflowError, ValueError),
+)
 
 
 def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Path:

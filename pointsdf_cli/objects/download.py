@@ -100,12 +100,14 @@ def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: 
         if resumes and not response.headers.get("Content-Range", "").startswith(f"bytes {have}-"):
             tag.unlink(missing_ok=True)
             raise _Broken("the server sent another part than asked for")
-        _remember(tag, response.headers)
         written = have if resumes else 0
         expected = written + int(response.headers.get("Content-Length", 0))
         if expected > largest:
             raise InputError(f"{expected} bytes", where=url, allowed=f"at most {largest}")
+        if not resumes:
+            tag.unlink(missing_ok=True)  # a kill here must not leave the old part with the new tag
         with open(part, "ab" if resumes else "wb") as file:
+            _remember(tag, response.headers)
             for block in response.iter_raw():
                 written += len(block)
                 if written > largest:

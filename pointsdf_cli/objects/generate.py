@@ -59,8 +59,6 @@ def make_object(seed: int, index: int, families: Sequence[str] | None = None) ->
     Raises:
         InputError: The seed or index is negative, or a family is unknown.
     """
-    if seed < 0:
-        raise InputError(f"the seed is {seed}", where="--seed", allowed="0 or more")
     if index < 0:
         raise InputError(f"the index is {index}", where="index", allowed="0 or more")
     family = family_of(seed, index, choose_families(families))
@@ -94,7 +92,12 @@ def family_of(seed: int, index: int, choices: Sequence[Family]) -> Family:
 
     Any range of indices then has the families nearly in proportion to their weights; independent
     draws would have so only on average.
+
+    Raises:
+        InputError: The seed is negative.
     """
+    if seed < 0:
+        raise InputError(f"the seed is {seed}", where="--seed", allowed="0 or more")
     start = np.random.default_rng(seed).random()
     place = (start + index * GOLDEN_RATIO) % 1.0
     edges = np.cumsum([family.weight for family in choices])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from pointsdf_cli.io.atomic import TEMPORARY_MARK, require_folder, write_text_at
 from pointsdf_cli.io.batch import StageReport, run_stage, shard_of
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
-from pointsdf_cli.objects.families import choose_families
+from pointsdf_cli.objects.families import Family, choose_families
 from pointsdf_cli.objects.generate import GENERATOR_VERSION, family_of, make_object
 
 MANIFEST = "objects.csv"
@@ -88,7 +88,7 @@ def make_objects(
     for index in indices:
         name = f"{index:05d}_{family_of(seed, index, choices).name}"
         tasks.append((name, ObjectTask(seed, index, names, out / f"{name}.ply", force)))
-    _require_one_series(out, [name for name, _ in tasks], force)
+    _require_one_series(out, seed, choices, {name for name, _ in tasks} if force else set())
     report = run_stage(tasks, make_file, jobs=jobs, folders=[out], on_done=on_result)
     if report.made or report.kept:
         write_manifest(out)
@@ -138,24 +138,25 @@ def write_manifest(folder: Path) -> Path:
     return path
 
 
-def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None:
-    """Refuse to mix objects of two seeds in one folder.
+def _require_one_series(
+    folder: Path, seed: int, choices: Sequence[Family], replaced: Set[str]
+) -> None:
+    """Refuse to mix objects of two seeds in one folder; those of this run's numbers are `replaced`.
 
     Raises:
-        OptionsDifferError: The folder has another object of one of these numbers.
+        OptionsDifferError: The folder has an object that this seed and these families do not make.
     """
-    wanted = {name.partition("_")[0]: name for name in names}
     for other in sorted(folder.glob("*.ply")):
-        ours = wanted.get(other.stem.partition("_")[0], other.stem)
+        number = other.stem.partition("_")[0]
+        if not number.isdecimal():
+            continue
+        ours = f"{number}_{family_of(seed, int(number), choices).name}"
         about = read_object_about(other) if other.stem != ours else None
         if about is None:
             continue
-        if not force:
-            seed = about.get("seed")
-            what = (
-                f"has the number of {ours}, but is of another seed or other families (seed {seed})"
-            )
-            raise OptionsDifferError.of_file(other, what)
+        if ours not in replaced:
+            what = f"has the number of {ours}, but is of another seed or other families"
+            raise OptionsDifferError.of_file(other, f"{what} (seed {about.get('seed')})")
         other.unlink(missing_ok=True)
 
 
