@@ -32,7 +32,14 @@ from pointsdf_cli.io.labels import Labels, read_labels, write_labels
 from pointsdf_cli.io.layout import Column
 from pointsdf_cli.io.poses import camera_pose
 from pointsdf_cli.io.trials import read_trial
-from pointsdf_cli.io.untrusted import read_json, read_npy_array, read_xml, read_yaml
+from pointsdf_cli.io.untrusted import (
+    is_whole_number,
+    parse_json,
+    read_json,
+    read_npy_array,
+    read_xml,
+    read_yaml,
+)
 from pointsdf_cli.objects.archive import extract_mesh
 from pointsdf_cli.robot.urdf import read_urdf
 
@@ -176,6 +183,17 @@ def test_a_chunk_that_unpacks_to_more_than_it_holds(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="points unpacks to more than it holds"):
         read_artifact(tmp_path / "a.h5", schema="labels", version=1)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+def test_a_json_key_that_stands_twice_is_refused() -> None:
+    with pytest.raises(InputError, match="`fx` stands a second time"):
+        parse_json('{"fx": 150, "fy": 150, "fx": 75}', "K.json")
+
+
+@pytest.mark.parametrize("text", ["²", "٣", "1" * 5000, "", "-1", "1.0"])
+def test_what_int_cannot_take_is_no_whole_number(text: str) -> None:
+    assert not is_whole_number(text)
+    assert is_whole_number("17")
 
 
 def test_a_dataset_that_is_packed_twice(tmp_path: Path) -> None:

@@ -171,6 +171,19 @@ def test_a_closing_joint_whose_leader_is_not_listed_is_an_error(
     assert any("name left_jaw in hand_joints" in error.fix for error in said), said
 
 
+def test_a_follower_that_is_left_out_is_an_error(gripper: Callable[[str, str], Path]) -> None:
+    path = gripper("hand_joints: [left_jaw, right_jaw]", "hand_joints: [left_jaw]")
+    path.write_text(path.read_text().replace(", right_jaw: 0.05", ""))
+    urdf = path.with_name("gripper.urdf")
+    place = '<joint name="right_jaw" type="prismatic">'
+    urdf.write_text(urdf.read_text().replace(place, f'{place}<mimic joint="left_jaw"/>'))
+    found = check_robot(load_robot(path))
+    (error,) = [f for f in found.findings if f.level == ERROR and "left out" in f.what]
+    assert error.what.startswith("right_jaw follows left_jaw")
+    assert "closing_joints: {right_jaw: 0.05}" in error.fix
+    assert not any("kept at 0" in finding.what for finding in found.findings)
+
+
 def test_a_range_of_more_than_two_turns_is_told(gripper: Callable[[str, str], Path]) -> None:
     path = gripper("", "")
     urdf = path.with_name("gripper.urdf")

@@ -14,6 +14,7 @@ import yaml
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.robot.description import load_robot, robot_digest
+from pointsdf_cli.robot.urdf import read_urdf
 
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
 
@@ -55,6 +56,63 @@ def test_a_margin_of_angles_is_none_of_lengths(tmp_path: Path) -> None:
     robot = load_robot(path)
     assert (robot.lower[0], robot.upper[0]) == (0.0, 0.6)  # the rail
     assert (robot.lower[2], robot.upper[2]) == (-1.25, 1.25)
+
+
+def test_a_continuous_joint_has_no_stop_to_keep_away_from(tmp_path: Path) -> None:
+    shutil.copy(GRIPPER.parent / "gripper.urdf", tmp_path)
+    path = tmp_path / "gripper.yaml"
+    path.write_text(GRIPPER.read_text() + "\narm_limit_margin: 0.25\n")
+    robot = load_robot(path)
+    assert robot.upper[robot.joint_names.index("turn")] == pytest.approx(np.pi)
+
+
+TREES = {
+    "a circle below the root": (
+        '<joint name="one" type="fixed"><parent link="left"/><child link="right"/></joint>'
+        '<joint name="two" type="fixed"><parent link="right"/><child link="left"/></joint>',
+        "is the child of 2 joints",
+    ),
+    "xacro": (
+        '<xacro:include xmlns:xacro="http://www.ros.org/wiki/xacro" filename="arm.xacro"/>',
+        "elements of xacro",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TREES)
+def test_what_is_no_tree_ends_in_one_message(tmp_path: Path, case: str) -> None:
+    added, message = TREES[case]
+    text = (GRIPPER.parent / "gripper.urdf").read_text()
+    (tmp_path / "gripper.urdf").write_text(text.replace("</robot>", f"{added}</robot>"))
+    shutil.copy(GRIPPER, tmp_path)
+    with pytest.raises(InputError, match=message):
+        load_robot(tmp_path / "gripper.yaml")
+
+
+def test_limits_of_followers_come_along_the_chain(tmp_path: Path) -> None:
+    joints = "".join(
+        f'<link name="l{k}"/><joint name="g{k}" type="revolute"><parent link="l{k - 1}"/>'
+        f'<child link="l{k}"/><axis xyz="0 0 1"/>{more}</joint>'
+        for k, more in (
+            (1, '<limit lower="0" upper="0.4" velocity="2" effort="5"/>'),
+            (2, '<mimic joint="g1" multiplier="2"/>'),
+            (3, '<mimic joint="g2" multiplier="-1"/><limit velocity="0" effort="0"/>'),
+        )
+    )
+    path = tmp_path / "chain.urdf"
+    path.write_text(f'<robot name="r"><link name="l0"/>{joints}</robot>')
+    _, two, three = read_urdf(path).joints
+    assert (two.lower, two.upper, two.velocity, two.effort) == (0, 0.8, 4, 5)
+    assert (three.lower, three.upper, three.velocity, three.effort) == (-0.8, 0, 4, 5)
+
+
+def test_a_follower_is_no_joint_of_the_arm(tmp_path: Path) -> None:
+    text = (GRIPPER.parent / "gripper.urdf").read_text()
+    place = '<joint name="lean" type="revolute">'
+    (tmp_path / "gripper.urdf").write_text(text.replace(place, f'{place}<mimic joint="slide"/>'))
+    shutil.copy(GRIPPER, tmp_path)
+    with pytest.raises(InputError, match="holds 'lean', which follows 'slide'"):
+        load_robot(tmp_path / "gripper.yaml")
 
 
 def test_the_digest_knows_the_robots_apart(tmp_path: Path) -> None:

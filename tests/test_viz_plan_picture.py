@@ -59,6 +59,21 @@ def test_the_seen_points_are_seen_from_the_camera_only(meshes: RobotMeshes) -> N
     assert blue[0] > 3 * max(1, blue[1])
 
 
+def test_a_wall_before_the_object_lets_it_show_through(meshes: RobotMeshes) -> None:
+    wall = trimesh.creation.box((0.02, 1.0, 0.5)).apply_translation((0.8, 0.0, 0.25))
+    scene = ball()
+    hidden = replace(scene, obstacles=[(np.asarray(wall.vertices), np.asarray(wall.faces))])
+    free, behind = (close_ups(meshes, ROBOT.home, one)[0].astype(int) for one in (scene, hidden))
+    blue = free[..., 2] > free[..., 0] + 60
+    assert (behind[blue][:, 2] > behind[~blue][:, 2].mean() - 100).all()
+    assert behind[blue][:, 0].mean() < behind[~blue][:, 0].mean() - 20
+
+
+def test_without_a_table_none_is_drawn() -> None:
+    scene = ball()
+    assert len(scene.painted()) == len(replace(scene, table=False).painted()) + 1
+
+
 def test_a_camera_above_looks_down_and_the_far_side_is_looked_at_from_low(
     meshes: RobotMeshes,
 ) -> None:

@@ -121,7 +121,7 @@ def collect_grasps(
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
     shown, page = _with_other_shards(items, tasks, every), out / "report.html"
     if force:  # they may show grasps that are gone
-        for stale in out.glob("film-*.gif"):
+        for stale in out.glob("film-[0-9][0-9]*.gif"):
             stale.unlink()
     strips = _films(shown, every, machine, out, record, pictures)
     title = f"rgrasp grasps: {out.name}"

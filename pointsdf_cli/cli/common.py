@@ -74,7 +74,7 @@ EachSkipBad = Annotated[
     ),
 ]
 Threads = Annotated[
-    int, typer.Option(min=0, help="Number of processor threads; 0 uses the idle ones.")
+    int, typer.Option(min=0, max=1024, help="Number of processor threads; 0 uses the idle ones.")
 ]
 
 

@@ -136,7 +136,10 @@ class Progress:
         """Count one more finished file."""
         self._count += 1
         if self._bar:
-            self._bar.update(self._task, advance=1, description=f"{self._title} {name[-32:]}")
+            from rich.markup import escape
+
+            told = escape(printable(f"{self._title} {name[-32:]}"))
+            self._bar.update(self._task, advance=1, description=told)
             return
         now = time.monotonic()
         if not self._quiet and (now - self._spoke > self._LINE_EVERY):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from importlib import import_module
 from typing import Annotated
@@ -40,10 +39,10 @@ def serve(
     """
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
-    from pointsdf_cli.service.address import LOOPBACK, TOKEN
+    from pointsdf_cli.service.address import LOOPBACK, TOKEN, read_token
 
     reporter = common.Reporter(quiet, as_json)
-    token = os.environ.get(TOKEN) or None
+    token = read_token()
     for option, value, low, high in (
         ("--port", port, 0, 65535), ("--queue", queue, 0, 1000),
         ("--largest-body", largest_body, 1, 4096),

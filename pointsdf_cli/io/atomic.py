@@ -102,9 +102,9 @@ def abandoned_beside(path: Path) -> list[Path]:
 
 
 def write_text_atomic(path: Path | str, text: str) -> None:
-    """Write UTF-8 text as a whole or not at all."""
+    """Write UTF-8 text as a whole or not at all; bytes of file names that are none as `\\udc…`."""
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def remove_leftovers(folder: Path | str) -> None:

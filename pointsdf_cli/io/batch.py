@@ -25,6 +25,7 @@ from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import UnwritableError, remove_leftovers
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 from pointsdf_cli.io.one_thread import one_thread_each
+from pointsdf_cli.io.untrusted import is_whole_number
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -137,7 +138,8 @@ def shard_of(tasks: Sequence[Task], shard: str | None) -> list[Task]:
     if shard is None:
         return list(tasks)
     index, slash, count = shard.partition("/")
-    if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
+    numbers = slash and is_whole_number(index) and is_whole_number(count)
+    if not (numbers and int(index) < int(count)):
         raise InputError(
             f"{shard!r} is not a shard",
             where="--shard",

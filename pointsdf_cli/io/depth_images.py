@@ -16,7 +16,7 @@ from PIL import Image, UnidentifiedImageError
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.input_files import read_input, require_suffix
-from pointsdf_cli.io.untrusted import read_npy_array
+from pointsdf_cli.io.untrusted import is_whole_number, read_npy_array
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
 LARGEST_PIXELS = 64_000_000
@@ -89,7 +89,7 @@ PHOTOGRAPH = 0.9
 def mask_file(text: str) -> tuple[Path, int | None]:
     """The image and the number in `PATH` or `PATH:NUMBER`; None without a number."""
     before, colon, after = text.rpartition(":")
-    if colon and after.isdigit() and not Path(text).exists():
+    if colon and is_whole_number(after) and not Path(text).exists():
         return Path(before), int(after)
     return Path(text), None
 

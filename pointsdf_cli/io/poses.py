@@ -103,7 +103,7 @@ def table_place(text: str) -> tuple[float, float] | None:
     """Place of the object in the world [m] for `table` or `table:X,Y`; None for another pose.
 
     Raises:
-        InputError: `table:` with something else than two numbers.
+        InputError: `table:` with something else than two numbers, or far away.
     """
     word, _, rest = text.partition(":")
     if word != "table":
@@ -112,6 +112,8 @@ def table_place(text: str) -> tuple[float, float] | None:
         return TABLE_PLACE
     allowed = "table, or table:X,Y with the object's place in the world, m"
     x, y = _exactly(2, rest, "--camera-pose", allowed)
+    away, hint = float(np.hypot(x, y)), "are these millimetres?"
+    require_near(away, FARTHEST, "the object's place is", "--camera-pose", hint)
     return float(x), float(y)
 
 

@@ -66,7 +66,8 @@ def tree_of_npz(data: bytes, where: str) -> Any:
             if sum(entry.file_size for entry in entries) > len(data):
                 raise ValueError("its arrays overlap")
             arrays = {e.filename.removesuffix(".npy"): _array(archive.read(e)) for e in entries}
-        return _filled(json.loads(arrays["tree"].tobytes()), arrays)
+        # Each array once: what is read is never larger than what was sent.
+        return _filled(json.loads(arrays.pop("tree").tobytes()), arrays)
     except _BROKEN as error:
         raise InputError(
             f"is not an NPZ that can be used ({first_line(error)})",
@@ -88,7 +89,7 @@ def _array(data: bytes) -> NDArray[Any]:
 def _filled(node: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     if isinstance(node, dict):
         if set(node) == {REFERENCE}:
-            return arrays[node[REFERENCE]]
+            return arrays.pop(node[REFERENCE])
         return {key: _filled(value, arrays) for key, value in node.items()}
     if isinstance(node, list):
         return [_filled(value, arrays) for value in node]

@@ -68,6 +68,11 @@ def read_json(path: Path) -> Any:
     return parse_json(_text(path, "text", "JSON"), path)
 
 
+def is_whole_number(text: str) -> bool:
+    """Whether a text is a whole number from 0 of at most nine digits, which `int` can take."""
+    return text.isascii() and text.isdecimal() and len(text) < 10
+
+
 def parse_json(text: str | bytes, where: object) -> Any:
     """The data of a JSON text.
 
@@ -76,10 +81,20 @@ def parse_json(text: str | bytes, where: object) -> Any:
         where: Its source, for messages.
 
     Raises:
-        InputError: Not JSON.
+        InputError: Not JSON, or a key stands twice in one object.
     """
+
+    def distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            what = f"`{twice[:60]}` stands a second time in it"
+            raise InputError(what, where=where, allowed="each key once")
+        return found
+
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=distinct)
     except (ValueError, RecursionError) as error:
         raise InputError(f"is not readable JSON ({first_line(error)})", where=where) from error
 

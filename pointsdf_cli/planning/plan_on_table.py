@@ -51,6 +51,7 @@ class TablePlan:
         points: [N, 3], observed points of the object, world, m.
         camera: [3], position of the first camera.
         obstacles: All obstacles.
+        table: Whether there is a table.
     """
 
     answer: Answer
@@ -60,6 +61,7 @@ class TablePlan:
     camera: Array
     obstacles: tuple[Obstacle, ...]
     warnings: tuple[str, ...] = ()
+    table: bool = True
 
     def result(self, options: PlanOptions) -> PlanResult:
         """The result in plain data, with the planner's options."""
@@ -74,6 +76,7 @@ class TablePlan:
             obstacles=self.obstacles,
             options=plain,
             least=options.planner.synthesis.acceptance.least,
+            table=self.table,
         )
 
 
@@ -210,7 +213,8 @@ def _plan_for(
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     obstacles = environment.obstacles
-    return TablePlan(answer, tuple(report), q, points, camera, obstacles, tuple(warnings))
+    table = request.environment.table
+    return TablePlan(answer, tuple(report), q, points, camera, obstacles, tuple(warnings), table)
 
 
 def look_for(
@@ -239,7 +243,8 @@ def _without_object(
     camera = np.asarray(request.clouds[0].T_world_camera)[:3, 3]
     answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
     said = (f"{error.where}: {error.what}",)
-    return TablePlan(answer, said, q, world, camera, request.environment.obstacles)
+    around = request.environment
+    return TablePlan(answer, said, q, world, camera, around.obstacles, (), around.table)
 
 
 def _warnings(seen: TableTop, request: PlanRequest) -> list[str]:

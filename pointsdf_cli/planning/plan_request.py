@@ -131,6 +131,7 @@ class PlanResult:
         obstacles: All obstacles.
         options: The planner's options in plain types, as stored in the plan file.
         least: Probability below which a grasp is not likely to hold.
+        table: Whether there is a table.
     """
 
     plan: Plan
@@ -142,6 +143,7 @@ class PlanResult:
     obstacles: tuple[Obstacle, ...]
     options: dict[str, Any]
     least: float
+    table: bool = True
 
     def messages(self) -> dict[str, Any]:
         """Entries of the JSON of `plan --json` and of the server, besides the plan."""

@@ -14,8 +14,9 @@ from pointsdf_cli.robot.collision import SelfCollision, table_clearance
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.mimic import followers_of
 from pointsdf_cli.robot.surface import SPACING, clear_of, link_surface
-from pointsdf_cli.robot.urdf import MOVING
+from pointsdf_cli.robot.urdf import MOVING, Joint
 
 ERROR, WARNING = "error", "warning"
 SLACK = 1e-3
@@ -139,12 +140,35 @@ def _coupled(robot: RobotDescription) -> Iterator[Finding]:
             what = f"{says} from {low:g} to {high:g}, beyond its limits {least:g} to {most:g}"
             fix = f'<limit lower="{low:g}" upper="{high:g}"> of {name} in the URDF, or its <mimic>'
             yield Finding(ERROR, what, fix)
+        if name in robot.preshape_joints and first not in robot.preshape_joints:
+            what = f"{says}, which is not in preshape_joints"
+            yield Finding(ERROR, what, f"name {first} in preshape_joints, too")
+    for joint, first, ratio in _left_out(robot):
+        what = f"{joint.name} follows {first} (<mimic>, multiplier {ratio:g}) and is left out"
+        fix = f"name {joint.name} in hand_joints"
+        if first in speeds:
+            fix += f", and closing_joints: {{{joint.name}: {ratio * speeds[first]:g}}}"
+        yield Finding(ERROR, what, fix)
     led = {names[column] for column, *_ in robot.followers}
     for joint in robot.joints:
         if joint.mimic and joint.name in speeds and joint.name not in led:
             what = f"{joint.name} follows {joint.mimic[0]} (<mimic>), which is kept at 0"
             fix = f"name {joint.mimic[0]} in hand_joints and in closing_joints, too"
             yield Finding(ERROR, what, fix)
+
+
+def _left_out(robot: RobotDescription) -> list[tuple[Joint, str, float]]:
+    """Joints that are not the robot's but follow one that is, with its name and the ratio."""
+    names = robot.joint_names
+    moving = [joint for joint in robot.tree.joints if joint.kind in MOVING]
+    others = tuple(joint.name for joint in moving if joint.name not in names)
+    by_name = {joint.name: joint for joint in moving}
+    every = (*names, *others)
+    return [
+        (by_name[every[column]], every[leader], ratio)
+        for column, leader, ratio in followers_of(robot.tree, every)
+        if column >= len(names) > leader
+    ]
 
 
 def _left_home(robot: RobotDescription) -> list[Finding]:
@@ -211,10 +235,15 @@ def _table(robot: RobotDescription, kinematics: Kinematics) -> tuple[float, list
 
 
 def _joints(robot: RobotDescription) -> Iterator[Finding]:
-    known = set(robot.joint_names)
-    left = [j.name for j in robot.tree.joints if j.kind in MOVING and j.name not in known]
+    known = {*robot.joint_names, *(joint.name for joint, *_ in _left_out(robot))}
+    left = [j for j in robot.tree.joints if j.kind in MOVING and j.name not in known]
+    for joint in left:
+        if not joint.lower <= 0 <= joint.upper:
+            what = f"{joint.name} would be kept at 0, beyond {joint.lower:g} to {joint.upper:g}"
+            fix = "list it among arm_joints or hand_joints, or make it fixed in the URDF"
+            yield Finding(ERROR, what, fix)
     if left:
-        what = f"{', '.join(left)} can move and will be kept at 0"
+        what = f"{', '.join(joint.name for joint in left)} can move and will be kept at 0"
         fix = "list them among arm_joints or hand_joints if they are to move"
         yield Finding(WARNING, what, fix)
     too_fast = np.abs(robot.closing_speeds) > robot.velocity[robot.closing_columns]

@@ -195,6 +195,10 @@ def robot_of(data: Any, path: Path) -> RobotDescription:
     if both:
         raise keys.wrong("hand_joints", f"names {both[0]!r} of the arm", "joints of the hand")
     joints = [movable[name] for name in arm + hand]
+    for joint in joints[: len(arm)]:
+        if joint.mimic:
+            what = f"holds {joint.name!r}, which follows {joint.mimic[0]!r} (<mimic>)"
+            raise keys.wrong("arm_joints", what, "joints that move by themselves")
     keys.check_limits(joints)
     lower, upper = _limits_less_margin(keys, joints, len(arm))
     preshape = _preshape_ranges(keys, hand, movable)
@@ -231,8 +235,8 @@ def _limits_less_margin(keys: RobotKeys, joints: list[Joint], arm: int) -> tuple
     margin = keys.number("arm_limit_margin", 0.0, 0.0, 1.0)
     lower = np.array([joint.lower for joint in joints])
     upper = np.array([joint.upper for joint in joints])
-    # An angle is no length: prismatic joints may go to their ends.
-    turning = np.array([joint.kind != "prismatic" for joint in joints[:arm]])
+    # An angle is no length, and continuous joints have no stops.
+    turning = np.array([joint.kind == "revolute" for joint in joints[:arm]])
     lower[:arm] += margin * turning
     upper[:arm] -= margin * turning
     if (lower >= upper).any():

@@ -80,7 +80,9 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
     if jaws:
         touching += _touching_closed(robot)
     return data | {
-        "home": _rounded_within(robot.home, robot.lower, robot.upper, 3),
+        "home": _rounded(
+            robot.follow(np.array(_rounded_within(robot.home, robot.lower, robot.upper, 3))), 6
+        ),
         "preshape_joints": ranges,
         "closing_joints": speeds,
         "palm": {"link": palm, **placed, "reach": robot.palm_reach},

@@ -121,7 +121,7 @@ def preshapes(robot: RobotDescription, closing: dict[str, float]) -> dict[str, l
                 ends = [first.lower, round(first.lower + part, 4)]
             else:
                 ends = [round(first.upper - part, 4), first.upper]
-            ends = [min(max(ratio * end, joint.lower), joint.upper) for end in ends]
+            ends = [round(min(max(ratio * end, joint.lower), joint.upper), 9) for end in ends]
             found[joint.name] = sorted(ends)
     return found
 

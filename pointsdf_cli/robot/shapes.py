@@ -6,6 +6,7 @@ without them, seconds earlier.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -136,6 +137,27 @@ class Shape:
         if self.kind == "box":
             return centre - (up.abs() @ (up.new_tensor(self.size) / 2))
         return centre + (up @ up.new_tensor(self.triangles()[0]).T).amin(dim=-1)
+
+
+def mesh_file(name: str, urdf: Path) -> Path:
+    """The file that a URDF's mesh name means: relative to the URDF, or below its package.
+
+    Raises:
+        InputError: It is not there.
+    """
+    scheme, _, bare = name.rpartition("://")
+    candidates = [parent / bare for parent in urdf.parents[:4]]
+    if scheme == "package":  # the URDF may lie in a copy of the package under another name
+        inside = bare.partition("/")[2]
+        candidates += [parent / inside for parent in urdf.parents[:3]]
+    for candidate in candidates:
+        if os.path.isfile(candidate):  # unlike Path's, it takes names of any length
+            return candidate
+    raise InputError(
+        f"names the mesh {name!r}, which is not there",
+        where=urdf,
+        allowed="a file relative to the URDF, or below a folder of the package's name above it",
+    )
 
 
 def mesh_shape(path: Path, scale: Array, pose: Array) -> Shape:

@@ -15,7 +15,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.untrusted import read_xml
-from pointsdf_cli.robot.shapes import Shape, mesh_shape, require_metres
+from pointsdf_cli.robot.shapes import Shape, mesh_file, mesh_shape, require_metres
 
 MOVING = ("revolute", "continuous", "prismatic")
 JOINT_KINDS = (*MOVING, "fixed")
@@ -128,13 +128,16 @@ def read_urdf(path: Path) -> Tree:
 
     Raises:
         InputError: Not XML, not a URDF, a joint kind or shape that is not supported, a name used
-            twice, no or several roots, or a mesh that cannot be found.
+            twice, no tree, or a mesh that cannot be found.
     """
     if not os.path.isfile(path):  # unlike Path's, it takes names of any length
         raise InputError("no such URDF file", where=path)
     root = read_xml(path)
     if root.tag != "robot":
         raise InputError(f"has the root <{root.tag}>", where=path, allowed="a URDF: <robot>")
+    if any("xacro" in str(node.tag) for node in root.iter()):
+        hint = f"ros2 run xacro xacro {path.name} > robot.urdf"
+        raise InputError("holds elements of xacro", where=path, allowed="a URDF", hint=hint)
     for what, most in MOST.items():
         if len(found := root.findall(what)) > most:
             raise InputError(f"has {len(found)} <{what}>", where=path, allowed=f"{most}")
@@ -181,6 +184,7 @@ def _following(joint: Joint, joints: list[Joint], path: Path) -> Joint:
         raise InputError(what, where=path, allowed="another moving joint of the URDF")
     if joint.kind != "continuous" and joint.lower < joint.upper:
         return joint
+    leader = _following(leader, joints, path)
     ends = sorted((share * leader.lower, share * leader.upper))
     return replace(
         joint,
@@ -195,8 +199,11 @@ def _ordered(
     names: list[str], joints: list[Joint], path: Path
 ) -> tuple[tuple[str, ...], tuple[Joint, ...]]:
     """Links and joints from the root outwards, breadth first."""
-    children = {joint.child for joint in joints}
+    children = [joint.child for joint in joints]
     for joint in joints:
+        if children.count(joint.child) > 1:
+            what = f"link {joint.child!r} is the child of {children.count(joint.child)} joints"
+            raise InputError(what, where=path, allowed="one")
         for link in (joint.parent, joint.child):
             if link not in names:
                 what = f"joint {joint.name!r} names the link {link!r}"
@@ -236,7 +243,8 @@ def _joint(node: ET.Element, path: Path) -> Joint:
     for key in values:
         text = None if limit is None else limit.get(key)
         values[key] = float(_numbers(text, 1, path)[0]) if text else 0.0
-    if kind == "continuous" or (kind == "revolute" and limit is None):
+    follows = node.find("mimic") is not None
+    if kind == "continuous" or (kind == "revolute" and limit is None and not follows):
         values["lower"], values["upper"] = -np.pi, np.pi
     return Joint(
         name=name,
@@ -292,25 +300,6 @@ def _shape(node: ET.Element, pose: Array, path: Path) -> Shape:
     shape = Shape(node.tag, tuple(size.tolist()), pose)
     require_metres(shape.bounds(), f"a {node.tag}", path, "are its lengths in millimetres?")
     return shape
-
-
-def mesh_file(name: str, urdf: Path) -> Path:
-    """The file that a URDF's mesh name means: relative to the URDF, or below its package."""
-    scheme, _, bare = name.rpartition("://")
-    candidates = [urdf.parent / bare]
-    candidates += [parent / bare for parent in urdf.parents[1:4]]
-    candidates += [parent.parent / bare for parent in urdf.parents[:3]]
-    if scheme == "package":  # the URDF may lie in a copy of the package under another name
-        inside = bare.partition("/")[2]
-        candidates += [parent / inside for parent in urdf.parents[:3]]
-    for candidate in candidates:
-        if os.path.isfile(candidate):
-            return candidate
-    raise InputError(
-        f"names the mesh {name!r}, which is not there",
-        where=urdf,
-        allowed="a file relative to the URDF, or below a folder of the package's name above it",
-    )
 
 
 def _origin(node: ET.Element, path: Path) -> Array:

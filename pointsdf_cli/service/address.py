@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from urllib.parse import urlsplit
 
 from pointsdf_cli.errors import InputError
@@ -10,6 +11,20 @@ PORT = 8765
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 TOKEN = "RGRASP_TOKEN"
 """The variable of the environment that holds a server's token."""
+
+
+def read_token() -> str | None:
+    """The secret of the environment's variable `TOKEN`; None if it is not set or empty.
+
+    Raises:
+        InputError: It cannot stand in a header.
+    """
+    token = os.environ.get(TOKEN) or None
+    if token is not None and not all("!" <= sign <= "~" for sign in token):
+        raise InputError(
+            "holds blanks or signs beyond ASCII", where=TOKEN, allowed="printable ASCII"
+        )
+    return token
 
 
 def server_address(url: str) -> str:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.io.meshes import closed_body
+from pointsdf_cli.io.poses import FARTHEST
 from pointsdf_cli.planning.environment import Obstacle
 
 
@@ -21,6 +22,7 @@ def numbers(*shape: int | None) -> Any:
 
     def check(value: Any) -> NDArray[np.float64]:
         try:
+            _require_numbers(value, len(shape))
             array = np.asarray(value)
             if array.dtype.kind not in "buif":
                 raise ValueError
@@ -41,6 +43,26 @@ def numbers(*shape: int | None) -> Any:
     return Annotated[
         Any, BeforeValidator(check), WithJsonSchema({**schema, "description": f"[{text}]"})
     ]
+
+
+def _require_numbers(value: Any, depth: int) -> None:
+    """Refuse what is no number, `depth` lists down: NumPy would make text and lists of arrays many
+    times larger than they were sent.
+
+    Raises:
+        ValueError: It is not such numbers.
+    """
+    if isinstance(value, np.ndarray):
+        return
+    if not isinstance(value, list):
+        if not isinstance(value, int | float):
+            raise ValueError
+    elif depth == 0 or not all(isinstance(one, int | float | list) for one in value):
+        raise ValueError
+    else:
+        for one in value:
+            if isinstance(one, list):
+                _require_numbers(one, depth - 1)
 
 
 class Body(BaseModel):
@@ -74,6 +96,9 @@ class CloudBody(Body):
         pose = self.T_world_camera
         if pose is not None and not is_rigid(pose):
             raise InputError("T_world_camera is not a rigid transform", where=self.name)
+        if pose is not None:
+            away = float(np.linalg.norm(pose[:3, 3]))
+            require_near(away, FARTHEST, "the camera is", f"T_world_camera of {self.name}")
         if (self.depth is None) != (self.K is None):
             raise InputError("a depth image without its K, or K alone", where=self.name)
         if self.K is not None and not (self.K[0, 0] > 0 and self.K[1, 1] > 0):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -13,7 +12,7 @@ from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
-from pointsdf_cli.service.address import TOKEN, server_address
+from pointsdf_cli.service.address import read_token, server_address
 from pointsdf_cli.service.identity import PlannerFiles
 from pointsdf_cli.service.results import obstacle_tree, result_of
 
@@ -46,7 +45,7 @@ def ask(url: str, path: str, body: bytes) -> bytes:
     Raises:
         RgraspError: The server's error, with its class and exit code.
     """
-    token = os.environ.get(TOKEN)
+    token = read_token()
     headers = {"Content-Type": NPZ, "Accept": NPZ}
     if token:
         headers["Authorization"] = f"Bearer {token}"

@@ -12,9 +12,6 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import robot_digest
 
-BUNDLED = "bundled"
-"""Weights that were not named: those of the method that come with the version."""
-
 
 @dataclass(frozen=True)
 class PlannerFiles:
@@ -44,19 +41,25 @@ class PlannerFiles:
         }
 
 
-@lru_cache(maxsize=1)
 def bundled_digest() -> str:
     """Digest of all bundled weights, for files that outlive an update of them."""
     weights = sorted(asset_path("weights").glob("*/model.safetensors"))
-    return hashlib.sha256("".join(map(file_sha256, weights)).encode()).hexdigest()
+    told = ((path, path.stat()) for path in weights)
+    return _digest(tuple((path, about.st_size, about.st_mtime_ns) for path, about in told))
+
+
+@lru_cache(maxsize=1)
+def _digest(files: tuple[tuple[Path, int, int], ...]) -> str:
+    """Digest of files, read again where size or time has changed."""
+    return hashlib.sha256("".join(file_sha256(path) for path, *_ in files).encode()).hexdigest()
 
 
 def weights_digest(path: Path | None) -> str:
-    """Digest of a checkpoint; `BUNDLED` for None.
+    """Digest of a checkpoint; of all bundled weights for None.
 
     Raises:
         InputError: It cannot be read.
     """
     if path is None:
-        return BUNDLED
+        return bundled_digest()
     return file_sha256(path / "config.json") + file_sha256(path / "model.safetensors")

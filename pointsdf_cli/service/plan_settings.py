@@ -91,4 +91,4 @@ def scene_of_plan(result: PlanResult) -> PlanScene:
     vertices, faces = result.plan.object_vertices.astype(np.float64), result.plan.object_faces
     obstacles = [obstacle_mesh(obstacle) for obstacle in result.obstacles]
     believed = (vertices, faces) if len(faces) else None
-    return PlanScene(result.points, result.camera, believed, obstacles)
+    return PlanScene(result.points, result.camera, believed, obstacles, result.table)

@@ -52,6 +52,7 @@ def result_of(tree: Any) -> PlanResult:
             obstacles,
             dict(tree["options"]),
             float(tree["least"]),
+            bool(tree["table"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
         raise RgraspError(f"the server's answer is not a plan ({error})") from error

@@ -46,12 +46,14 @@ class PlanScene:
         camera: [3], where the (first) camera stood.
         believed: The object's surface as planning took it, None if it took none.
         obstacles: Everything else that stands around.
+        table: Whether there is a table.
     """
 
     points: Array
     camera: Array
     believed: Mesh | None
     obstacles: Sequence[Mesh] = ()
+    table: bool = True
 
     @property
     def centre(self) -> Array:
@@ -61,13 +63,18 @@ class PlanScene:
         return np.asarray((around.min(axis=0) + around.max(axis=0)) / 2)
 
     def painted(self) -> list[Painted]:
-        """Object, seen points, obstacles and table."""
+        """Object, seen points and table."""
         points = self.points[:: max(1, len(self.points) // MOST_POINTS)]
-        meshes = [table_mesh(), dots(points, POINT_SIZE, SEEN_COLOUR)]
-        meshes += [Painted(*mesh, OBSTACLE_COLOUR) for mesh in self.obstacles]
+        meshes = [dots(points, POINT_SIZE, SEEN_COLOUR)]
+        if self.table:
+            meshes.append(table_mesh())
         if self.believed is not None:
             meshes.append(Painted(*self.believed, BELIEVED_COLOUR))
         return meshes
+
+    def obstacle_meshes(self) -> list[Painted]:
+        """The obstacles, to be drawn translucent: they may stand around the object."""
+        return [Painted(*mesh, OBSTACLE_COLOUR) for mesh in self.obstacles]
 
 
 def plan_picture(
@@ -93,17 +100,20 @@ def overview(robot: RobotMeshes, q: Array, scene: PlanScene) -> NDArray[np.uint8
     hand = robot.at(q)[-1].vertices.mean(axis=0)
     side = 1.0 if hand[1] > scene.centre[1] else -1.0
     camera = look_at((1.75, 1.75 * side, 1.15), (0.3, 0.0, 0.45))
-    return Stage([*robot.at(q), *scene.painted()]).image(camera, SIZE, FIELD_OF_VIEW)
+    around = scene.obstacle_meshes()
+    stage = Stage([*around, *robot.at(q), *scene.painted()], len(around), TRANSLUCENT)
+    return stage.image(camera, SIZE, FIELD_OF_VIEW)
 
 
 def close_ups(robot: RobotMeshes, q: Array, scene: PlanScene) -> list[NDArray[np.uint8]]:
-    """The object with the translucent hand, from where the camera stood and from the far side.
+    """The object with translucent hand and obstacles, from where the camera stood and from the far
+    side.
 
     The far side is the lower, the more the camera looked down, as far as the table allows. The arm
     is left out: it reaches over from behind, and would stand before everything.
     """
-    hand = robot.at(q, hand_only=True)
-    stage = Stage([*hand, *scene.painted()], translucent=len(hand), opacity=TRANSLUCENT)
+    before = [*scene.obstacle_meshes(), *robot.at(q, hand_only=True)]
+    stage = Stage([*before, *scene.painted()], translucent=len(before), opacity=TRANSLUCENT)
     x, y, z = (scene.camera - scene.centre) / np.linalg.norm(scene.camera - scene.centre)
     z = max(z, LOWEST)  # a camera pose that is only assumed may lie below the table
     level, heading = np.hypot(x, y), np.arctan2(y, x)

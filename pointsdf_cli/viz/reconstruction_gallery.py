@@ -84,7 +84,8 @@ def _draw_row(row: GalleryRow, axes: Mapping[int, Any]) -> None:
     # The title stands left of the row, where an axis without ticks has its label.
     # A file's name is no formula, even with dollars in it.
     style = {"fontsize": 7, "rotation": 0, "ha": "right", "va": "center", "parse_math": False}
-    axes[0].set_ylabel(row.title, **style)
+    title = row.title.encode("utf-8", "backslashreplace").decode()  # names may be no UTF-8
+    axes[0].set_ylabel(title, **style)
     for column, shape, colour, azimuth in (
         (1, row.prediction, RECONSTRUCTION, CAMERA_SIDE),
         (2, row.truth, TRUTH, CAMERA_SIDE),
@@ -131,7 +132,7 @@ def _draw_slice(axis: Any, row: GalleryRow, sdf: FieldFunction) -> None:
     field = np.asarray(sdf(points), np.float64).reshape(depth.shape)
     reach = half / 2
     across, along = 100 * (depth - middle[2]), 100 * (down - middle[1])
-    axis.pcolormesh(across, along, field, cmap="RdBu", vmin=-reach, vmax=reach, shading="auto")
+    axis.pcolormesh(across, along, field, cmap="RdBu_r", vmin=-reach, vmax=reach, shading="auto")
     axis.contour(across, along, field, levels=[0.0], colors=["#b05500"], linewidths=1.4)
     if row.truth:
         truth = SignedDistance(*row.truth)(points).reshape(depth.shape)

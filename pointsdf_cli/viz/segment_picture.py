@@ -47,8 +47,10 @@ def segment_picture(
         background: u1 [height, width, 3] to draw on; None shades the depths.
     """
     if size is None:
-        low = pixels.min(axis=0)
-        scale = LARGEST / max(float(np.ptp(pixels, axis=0).max()), 1e-9)
+        low, high = _shown(pixels, number > 0)
+        kept = ((pixels >= low) & (pixels <= high)).all(axis=1)
+        pixels, depth, number = pixels[kept], depth[kept], number[kept]
+        scale = LARGEST / max(float((high - low).max()), 1e-9)
         pixels = (pixels - low) * scale
         labels = [(k, tuple((np.asarray(at) - low) * scale)) for k, at in labels]
         width, height = (int(n) + 1 for n in pixels.max(axis=0))
@@ -96,6 +98,19 @@ def label_image(
     image.putpalette([0, 0, 0, *(value for colour in shown for value in colour)])
     with atomic_path(path) as temporary:
         image.save(temporary, format="PNG")
+
+
+def _shown(
+    pixels: NDArray[np.float64], on_object: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower and upper bounds [2] of what is drawn: all objects, and all but the outermost points,
+    as few points near the lens lie far outside."""
+    low, high = np.percentile(pixels, [1, 99], axis=0)
+    if on_object.any():
+        mine = pixels[on_object]
+        low, high = np.minimum(low, mine.min(axis=0)), np.maximum(high, mine.max(axis=0))
+    edge = 0.05 * (high - low)
+    return np.maximum(low - edge, pixels.min(axis=0)), np.minimum(high + edge, pixels.max(axis=0))
 
 
 def _shaded(

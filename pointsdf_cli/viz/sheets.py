@@ -82,10 +82,10 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         # Saturate the colours beyond a third of the picture: values near zero matter.
         limit = 100 * half / 3
         extent = (-half * 100, half * 100, -half * 100, half * 100)
-        style = {"cmap": "RdBu", "vmin": -limit, "vmax": limit}
+        style = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
         left.imshow(field, origin="lower", extent=extent, **style)
         left.contour(field, levels=[0.0], extent=extent, colors="k", linewidths=1)
-        title = f"{mesh.name[:24]}: SDF [cm], zero in black"
+        title = f"{mesh.name[:24]}: SDF [cm], inside blue, zero in black"
         left.set_title(title, fontsize=8, parse_math=False)
         near = np.abs(labels.points[:, across] - centre[across]) < 0.03 * half
         inside = f"{(labels.sdf[near] < 0).mean():.0%} inside" if near.any() else "none"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import time
 from contextlib import redirect_stdout
 from typing import Any
@@ -13,6 +14,11 @@ from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.frames import wxyz_from_rotation
 from pointsdf_cli.viz.scene import WORLD, Part, Scene
 from pointsdf_cli.viz.viewer_access import free_port, guarded, only_controls
+
+
+def plain(text: str) -> str:
+    """Text of a file or its name for Markdown that shows HTML: every sign as an entity."""
+    return re.sub(r"[^\w ]", lambda sign: f"&#{ord(sign[0])};", " ".join(text.split()))
 
 
 class Viewer:
@@ -83,7 +89,7 @@ class Viewer:
                     handle.position = pose[:3, 3]
                     handle.wxyz = wxyz_from_rotation(pose[:3, :3])
             self._show_parts()
-        self._caption.content = self.scene.captions[self.frame] or " "
+        self._caption.content = plain(self.scene.captions[self.frame]) or " "
 
     def run(self) -> None:
         """Play while the button is on, until interrupted; from the end, anew."""
@@ -134,8 +140,8 @@ class Viewer:
 
     def _add_controls(self) -> None:
         gui, scene = self._server.gui, self.scene
-        rows = "\n".join(f"- **{name}** {value}" for name, value in scene.facts)
-        gui.add_markdown(f"### {scene.title}\n{rows}")
+        rows = "\n".join(f"- **{plain(name)}** {plain(value)}" for name, value in scene.facts)
+        gui.add_markdown(f"### {plain(scene.title)}\n{rows}")
         moves = scene.frames > 1
         last = max(scene.frames - 1, 1)
         self._slider = gui.add_slider(scene.slider, 0, last, 1, 0, visible=moves)
