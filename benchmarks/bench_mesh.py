@@ -69,7 +69,7 @@ def read(options: argparse.Namespace) -> tuple[ShapeModel, np.ndarray]:
 
 
 def reconstruct(options: argparse.Namespace) -> Reconstruction:
-    return Reconstruction.from_cloud(*read(options), np.zeros(3))
+    return Reconstruction.from_cloud(*read(options), np.zeros(3), vessels=False)
 
 
 def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
@@ -77,11 +77,12 @@ def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
     options, resolution = job
     low_precision = autocast_dtype(options.precision, torch.device("cpu"))
     model, points = read(options)
-    mesh_reconstruction(Reconstruction.from_cloud(model, points, np.zeros(3)), 32)  # warm
+    reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), vessels=False)
+    mesh_reconstruction(reconstruction, 32)  # warm
     runs = []
     for _ in range(REPEATS):
         wall, cpu = time.perf_counter(), time.process_time()
-        reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3))
+        reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), vessels=False)
         encoded = time.perf_counter()
         reconstruction = reconstruction.in_precision(low_precision)
         mesh = mesh_reconstruction(reconstruction, resolution, exact=options.exact)
@@ -112,7 +113,7 @@ def time_views(options: argparse.Namespace) -> list[tuple[float, int]]:
         runs = []
         for _ in range(2):  # the first one warms what depends on the sizes
             started = time.perf_counter()
-            shape = Reconstruction.from_cloud(model, points, np.zeros(3))
+            shape = Reconstruction.from_cloud(model, points, np.zeros(3), vessels=False)
             shape = shape.in_precision(low_precision)
             mesh = mesh_reconstruction(shape, resolution, exact=options.exact)
             runs.append(time.perf_counter() - started)

@@ -165,6 +165,7 @@ def main() -> None:
         exact_resting=1.0,
     )
     rows = []
+    failed = 0
     for number, file in enumerate(find_meshes(options.meshes, "*.ply")):
         mesh = load_mesh(file)
         views = SceneViews(mesh, CAMERAS["realsense"], config)
@@ -175,8 +176,12 @@ def main() -> None:
             except InputError:
                 continue
             row = score(model, mesh, file.stem, view)
-            if row is not None:
+            if row is None:
+                failed += 1
+            else:
                 rows.append(row)
+    if failed:
+        print(f"{failed} views without a surface, which the means leave out")
     describe(rows, "all")
     vessels = [row for row in rows if any(word in row.name for word in VESSELS)]
     if vessels:

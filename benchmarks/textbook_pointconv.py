@@ -99,7 +99,7 @@ class TextbookPointSDF(PointSDF):
     def __init__(self, **arguments: object) -> None:
         super().__init__(**arguments)  # type: ignore[arg-type]
         self.packed_neighbours = None
-        config = self.config()
+        config = PointSDF(**arguments).config()  # type: ignore[arg-type]
         inputs = (0, *(mlp[-1] for mlp in config["mlps"][:-1]))
         self.layers = nn.ModuleList(
             TextbookPointConv(channels, mlp, config["weight_channels"], count, k, bandwidth)

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from pointsdf_cli.errors import InputError, leave_with_message
-from pointsdf_cli.io.checkpoints import read_checkpoint, write_checkpoint
+from pointsdf_cli.io.checkpoints import forget_train_state, read_checkpoint, write_checkpoint
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 
@@ -35,6 +35,7 @@ def main(source: Path, target: Path) -> None:
         write_checkpoint(shipped, config=checkpoint.config, weights=checkpoint.weights, half=True)
         report = describe(source, shipped)
     write_checkpoint(target, config=checkpoint.config, weights=checkpoint.weights, half=True)
+    forget_train_state(target)
     print(f"{target}: {report}")
 
 

@@ -55,7 +55,7 @@ for variant in $variants; do
     # Grasps by name and size, the reconstruction by its weights: a network of others, or of other
     # options, is trained anew.
     asked="$variant ${options[*]} ${OPTIONS:-} $(
-        find "$grasps" -name '*.h5' -printf '%P %s\n' | sort | cat - ${sdf:+"$sdf/model.safetensors"} |
+        find -H "$grasps" -name '*.h5' -printf '%P %s\n' | sort | cat - ${sdf:+"$sdf/model.safetensors"} |
             sha256sum
     )"
     before=$(cat "$out.asked" 2>/dev/null || true)

@@ -152,7 +152,7 @@ def test_a_batch_is_what_the_package_makes_of_the_view(gpu):
             assert float(error) < 3 * float(plain) + 0.01
 
 
-def test_large_clouds_are_drawn_from_views_that_have_the_points():
+def test_large_clouds_are_drawn_from_views_that_have_the_points(gpu):
     from make_views import MOST_POINTS
     from views_on_device import Views
 
@@ -176,7 +176,7 @@ def test_large_clouds_are_drawn_from_views_that_have_the_points():
     assert len(torch.unique(cloud[0], dim=0)) > 2900  # none of them twice, but for rounding
 
 
-def test_clouds_made_with_a_view_are_those_that_a_step_would_make():
+def test_clouds_made_with_a_view_are_those_that_a_step_would_make(gpu):
     from make_views import MOST_POINTS, sampled
     from views_on_device import Views, _first_layer
 

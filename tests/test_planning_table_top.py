@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.table_objects import LOOSE
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.io.clouds import Cloud
@@ -294,10 +295,35 @@ def test_the_robot_keeps_above_a_table_that_is_seen_higher() -> None:
     assert scene.environment.table_height == pytest.approx(0.025, abs=0.002)
 
 
+def test_the_height_of_a_tilted_table_is_that_below_the_object() -> None:
+    tilt = trimesh.transformations.rotation_matrix(np.deg2rad(2), (0, 1, 0))
+    scene = cloud(apply_transform(tilt, np.concatenate([TABLE, THINGS])))
+    seen = look_at_table([scene], ["a"], ROBOT, HOME)
+    assert seen.table_height == pytest.approx(-0.6 * np.tan(np.deg2rad(2)), abs=0.002)
+
+
+def test_what_a_mask_leaves_of_its_object_is_no_obstacle() -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]))
+    mask = first_mask(scene, LARGE) & (apply_transform(POSE, scene.points)[:, 2] > 0.016)
+    seen = look_at_table([replace(scene, mask=mask)], ["a"], ROBOT, HOME)
+    assert "beside the mask" in seen.report[0]
+    assert seen.others[:, 1].max() < 0  # the smaller thing alone
+    label = seen.labelled[0][0].objects.label
+    assert not (label == LOOSE).any()
+
+
+def test_a_small_workspace_still_has_a_table() -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]))
+    around = workspace_of(((0.5, 0.1, -0.05), (0.7, 0.3, 0.3)))
+    points = look_at_table([scene], ["a"], ROBOT, HOME, workspace=around).views[0].in_world
+    assert np.ptp(points[:, :2], axis=0).max() < 0.09
+
+
 def test_a_camera_that_does_not_see_the_object_does_not_move_the_table() -> None:
     def at(height: float) -> Any:
         plane = np.array([0.0, 0.0, 1.0, height])
-        return SimpleNamespace(objects=SimpleNamespace(plane=plane))
+        objects = SimpleNamespace(plane=plane, label=np.zeros(3, dtype=int))
+        return SimpleNamespace(objects=objects, world=np.zeros((3, 3)))
 
     assert table_height([(at(0.0), 0), (at(0.02), -1)]) == 0.0
 

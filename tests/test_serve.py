@@ -370,14 +370,18 @@ def _references(node: object) -> Iterator[str]:
 
 
 def test_a_token_is_asked_for(cli: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Server(Resident(), token="open sesame") as guarded:
+    with Server(Resident(), token="open-sesame") as guarded:
         assert httpx.get(guarded.url + "/health").status_code == 200
-        for headers in ({}, {"Authorization": "Bearer guess"}, {"Authorization": "open sesame"}):
+        for headers in ({}, {"Authorization": "Bearer guess"}, {"Authorization": "open-sesame"}):
             for path in ("/plan", "/docs", "/openapi.json"):
                 assert httpx.get(guarded.url + path, headers=headers).status_code == 401
-        right = {"Authorization": "Bearer open sesame"}
+        right = {"Authorization": "Bearer open-sesame"}
         assert httpx.get(guarded.url + "/openapi.json", headers=right).status_code == 200
-        monkeypatch.delenv("RGRASP_TOKEN", raising=False)
+        monkeypatch.setenv("RGRASP_TOKEN", "pässwort")
+        run = cli("plan", TABLE, "--no-picture", "--server", guarded.url)
+        assert run.code == 2
+        assert "printable ASCII" in run.err
+        monkeypatch.delenv("RGRASP_TOKEN")
         run = cli("plan", TABLE, "--no-picture", "--server", guarded.url)
         assert run.code == 2
         assert "RGRASP_TOKEN" in run.err

@@ -140,7 +140,8 @@ class Training:
         self._set_rate(self.config.rate(self.steps, progress))
         if self.steps % REFRESH_EVERY == 0:
             self.views.refresh()
-        size = self.views.sizes[int(torch.randint(len(self.views.sizes), ()))]
+        sizes = self.views.drawn_sizes()
+        size = sizes[int(torch.randint(len(sizes), ()))]
         if self._graphs:
             self._graphs[size].replay()
         else:
@@ -158,7 +159,15 @@ class Training:
 
     @torch.no_grad()
     def validate(self, held_out: Views) -> dict[str, float]:
-        """Loss and overlap of the averaged weights, with evidence about the space and without."""
+        """Loss and overlap of the averaged weights, with evidence about the space and without: on
+        the same clouds and queries each time."""
+        device = torch.device(self.device)
+        devices = [device] if device.type == "cuda" else []
+        with torch.random.fork_rng(devices=devices):
+            torch.manual_seed(0)
+            return self._validated(held_out)
+
+    def _validated(self, held_out: Views) -> dict[str, float]:
         numbers = {}
         for name, evidence in (("", True), ("_bare", False)):
             losses, overlaps = [], []

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import write_text_atomic
 
 RECIPE = "recipe.json"
 """File beside the views with the options that made them."""
@@ -32,4 +33,4 @@ def begin(folder: Path, recipe: dict[str, Any]) -> None:
         )
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ENDED).unlink(missing_ok=True)
-    file.write_text(json.dumps(recipe, indent=1))
+    write_text_atomic(file, json.dumps(recipe, indent=1))

@@ -177,6 +177,10 @@ class Views:
         for size in self.sizes:
             self._drawn_from[size].fill_(float(self._counts[size]))
 
+    def drawn_sizes(self) -> list[int]:
+        """The sizes of clouds for which there are views."""
+        return [size for size in self.sizes if self._counts[size]]
+
     def draw(self, batch_size: int, size: int = CLOUD_SIZE) -> Tensor:
         """Random views with enough points for clouds of a size, int64 [B]."""
         row = (torch.rand(batch_size, device=self.device) * self._drawn_from[size]).long()

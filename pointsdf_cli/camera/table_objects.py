@@ -24,7 +24,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.geometry.voxels import thin
 
-OUTSIDE, TABLE, LOOSE = -1, -2, -3
+OUTSIDE, TABLE, LOOSE, BESIDE_MASK = -1, -2, -3, -6
 """Labels of points that belong to no object: outside the workspace, on or below the table, and in
 groups too small for an object."""
 
@@ -51,7 +51,7 @@ class TableObjects:
     """Objects on a table, unordered.
 
     Attributes:
-        label: i8 [N], the object of each point, or OUTSIDE, TABLE, LOOSE.
+        label: i8 [N], the object of each point, or OUTSIDE, TABLE, LOOSE, BESIDE_MASK.
         plane: [4], (unit normal, offset) of the table in the world; None if none was seen.
         unsplit: Objects that look like several in contact but could not be separated.
         cut: Objects that go on farther outside of the workspace than they are followed.
@@ -85,6 +85,8 @@ def segment_table(
     index = np.flatnonzero(strictly_inside(points, workspace.low, workspace.high))
     inside = points[index]
     plane = find_table(inside)
+    if plane is None and len(index):  # a workspace may hold too little of the table
+        plane = find_table(points)
     height, above = _over_table(inside, camera, plane)
     label[index[~above]] = TABLE
     low, index, height = index[~above], index[above], height[above]
@@ -215,12 +217,13 @@ def add_masked_object(mask: NDArray[np.bool_], found: TableObjects) -> TableObje
         )
     count = found.count
     label[chosen] = count
-    # Drop objects that lost most of their points to the mask.
+    # Objects that lost most of their points to the mask: what is left is the object's rim, whose
+    # hull as an obstacle would hold the object itself.
     for one in range(count):
         before = found.label == one
         left = before & (label == one)
         if left.sum() < max(50, 0.2 * before.sum()):
-            label[left] = LOOSE
+            label[left] = BESIDE_MASK
     partly = {count} if found.cut & {int(one) for one in np.unique(found.label[mask])} else set()
     return replace(found, label=label, cut=found.cut | partly)
 

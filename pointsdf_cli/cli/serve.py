@@ -82,7 +82,9 @@ def serve(
     with stop_requests() as stopped:
         server = Server(resident, host, port, token, queue, largest_body << 20)
         with server:
-            reporter.result({"url": server.url}, [f"{server.url}: ready; {server.url}/docs"])
+            # A browser sends no token.
+            docs = f"; {server.url}/docs" if token is None else ""
+            reporter.result({"url": server.url}, [f"{server.url}: ready{docs}"])
             sys.stdout.flush()  # scripts wait for this line
             server.wait(stopped)
             reporter.say("stopping after the running request")

@@ -13,6 +13,7 @@ from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.standing_objects import standing_objects
 from pointsdf_cli.camera.table_objects import (
+    BESIDE_MASK,
     LOOSE,
     OUTSIDE,
     TABLE,
@@ -250,6 +251,7 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
         "outside the workspace": OUTSIDE,
         "on the table": TABLE,
         "in groups too small for an object": LOOSE,
+        "beside the mask": BESIDE_MASK,
         "in the robot's place" if view.cloud.over_table else "on the robot": ROBOT,
     }
     dropped = [f"{n} {words}" for words, k in count.items() if (n := int((label == k).sum()))]

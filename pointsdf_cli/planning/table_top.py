@@ -192,7 +192,8 @@ def _look(
             labelled.append((view, item.label))
             seen.append(view_of(view, found))
             if first is None:
-                first = FirstView(in_world, beside)
+                objects = (view.objects.label >= 0) & (view.objects.label != item.label)
+                first = FirstView(in_world, view.world[objects])
                 if wanted is None or wanted.place is None:
                     wanted = TargetChoice(place=np.median(in_world, axis=0))
         report.append(f"{view.name}: {said}")
@@ -216,9 +217,13 @@ def _check_width(in_world: Array, name: str) -> None:
 
 
 def table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
-    """Height of the table in the views that show the object [m]; None without a table."""
-    planes = [view.objects.plane for view, label in labelled if label >= 0]
-    heights = [float(plane[3]) for plane in planes if plane is not None]
+    """Height of the table below the object [m], in the views that show it; None without a table."""
+    heights = []
+    for view, label in labelled:
+        plane = view.objects.plane
+        if label >= 0 and plane is not None:
+            middle = np.median(view.world[view.objects.label == label, :2], axis=0)
+            heights.append(float((plane[3] - plane[:2] @ middle) / plane[2]))
     return float(np.median(heights)) if heights else None
 
 
