@@ -170,15 +170,6 @@ def test_follows_a_sheet_that_the_coarse_grid_sees_only_a_part_of() -> None:
     assert np.ptp(mesh.vertices, axis=0)[:2] == pytest.approx([1.2, 1.2], abs=0.01)
 
 
-def test_one_grid_is_dense_however_steep_the_field() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(3):
-        centre, radius = rng.uniform(-0.3, 0.3, 3), rng.uniform(0.05, 0.4)
-        steep = ball(radius, tuple(centre))
-        surface = extract_isosurface(lambda x, f=steep: 2 * f(x), IsosurfaceConfig(32, 32))
-        assert trimesh.Trimesh(surface.vertices, surface.faces).is_watertight
-
-
 def test_every_marching_cubes_case_separates_inside_from_outside() -> None:
     """In a grid of 4³ corners, all outside but those of one cell: the surface must close."""
     shape = (4, 4, 4)

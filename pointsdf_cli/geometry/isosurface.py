@@ -2,8 +2,8 @@
 
 MISE finds the cells (`mise.py`), marching cubes interpolates the field's own values (not a
 thresholded copy, which would leave stairs), and one Newton step along each crossed edge pulls the
-vertices to zero. With `coarse = resolution` the extraction is dense; it gives the same surface
-wherever the coarse grid detects any of it.
+vertices to zero. With `coarse = resolution` and no bound on the slope the extraction is dense; it
+gives the same surface wherever the coarse grid detects any of it.
 
 Limit: a separate part is missed if no corner of the coarse grid lies inside it or within half a
 cell of it. A sheet is always found; a ball thinner than √3 − 1 = 0.73 coarse cells may be missed.

@@ -59,7 +59,9 @@ class SearchRules:
 def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> NDArray[np.int32]:
     """The corner rows [C, 8] of the finest cells that the surface crosses.
 
-    Every end of a crossed edge holds the field's own value.
+    Every end of a crossed edge holds the field's own value. Cells that the bound on the slope
+    dropped wrongly are found again where finer cells lead to them; without finer cells
+    (`coarse` = resolution) a steeper field may leave holes.
 
     Args:
         grid: Empty; filled on the way.
@@ -67,8 +69,7 @@ def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> ND
         rules: When to ask and where to look.
     """
     stride = (grid.side - 1) // coarse
-    # Cells that a wrong bound drops are found again only where finer cells lead to them.
-    cells = _coarse_cells(grid, stride, rules.slope if stride > 1 else np.inf)
+    cells = _coarse_cells(grid, stride, rules.slope)
     rows = grid.corner_rows(cells, stride)
     _settle_crossed_edges(grid, rows)
     near = _straddling(grid.cases(rows))

@@ -77,7 +77,8 @@ def draw_plan(path: Path, result: PlanResult, robot: Path | None) -> None:
 
     plan = result.plan
     q = result.start if plan.reason else plan.q
-    below = "; ".join((*result.report, *result.warnings))
+    # The sentence holds all warnings; without a plan it stands in the headline.
+    below = " ".join(([] if plan.reason else [plan.sentence]) + ["; ".join(result.report)]).strip()
     plan_picture(
         path, RobotMeshes(load_robot(robot)), q, scene_of_plan(result), headline(plan), below
     )
