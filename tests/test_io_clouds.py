@@ -22,6 +22,7 @@ from pointsdf_cli.geometry.frames import (
 )
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, read_cloud, write_cloud
 from pointsdf_cli.io.pcd import lzf_decompress
+from pointsdf_cli.io.poses import table_place
 
 RNG = np.random.default_rng(0)
 POINTS = (RNG.uniform(-0.05, 0.05, (200, 3)) + [0, 0, 0.8]).astype(np.float32).astype(np.float64)
@@ -509,3 +510,14 @@ def test_half_nan_and_half_zero_is_no_cloud(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         read_cloud(tmp_path / "a.npy", drop_invalid=True)
     assert "--drop-invalid" not in refused.value.message
+
+
+def test_a_camera_beyond_all_rooms_is_refused(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(0, 0.1, (300, 3)) + [0, 0, 0.5]
+    pose = np.eye(4)
+    pose[0, 3] = 1e300
+    write_cloud(tmp_path / "far.ply", Cloud(points, T_world_camera=pose))
+    with pytest.raises(InputError, match="the camera of the header is 1e"):
+        read_cloud(tmp_path / "far.ply")
+    with pytest.raises(InputError, match=r"the object.s place is 600 m away"):
+        table_place("table:600,0")

@@ -11,7 +11,6 @@ import typer
 from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.untrusted import is_whole_number
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.calibration import Calibration
@@ -142,6 +141,8 @@ def calibrate(
 
 
 def _squares(text: str) -> tuple[int, int]:
+    from pointsdf_cli.io.untrusted import is_whole_number
+
     sides = text.lower().replace("×", "x").split("x")
     if len(sides) != 2 or not all(is_whole_number(side.strip()) for side in sides):
         raise InputError(f"{text!r} squares", where="--squares", allowed="such as 5x7")

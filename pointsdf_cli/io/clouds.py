@@ -29,6 +29,7 @@ from pointsdf_cli.io.input_files import check_input, require_suffix
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
 from pointsdf_cli.io.ply import read_ply, write_ply
+from pointsdf_cli.io.poses import FARTHEST as FARTHEST_CAMERA
 from pointsdf_cli.io.raw_cloud import finite_points, frame_of_header, pose_of_header, unit_normals
 
 FEWEST_POINTS = 50
@@ -185,6 +186,9 @@ def read_cloud(
         pose = pose_of_header(raw.comments, path)
         if pose is not None and path.suffix.lower() == ".pcd":
             pose[:3, 3] *= UNITS[unit]  # its header holds the viewpoint in the points' own unit
+        if pose is not None:
+            away, whose = float(np.linalg.norm(pose[:3, 3])), "the camera of the header is"
+            require_near(away, FARTHEST_CAMERA, whose, path, "is T_world_camera in metres?")
     given = T_world_camera is not None
     cloud = Cloud(
         points=raw.points * UNITS[unit],

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.choices import Frame
-from pointsdf_cli.errors import InputError, require_near
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.io.ply import RawCloud
-from pointsdf_cli.io.poses import FARTHEST
 
 FRAMES = get_args(Frame)
 
@@ -102,6 +101,4 @@ def pose_of_header(comments: dict[str, str], path: Path) -> NDArray[np.float64] 
             where=path,
             allowed="4×4, row by row: an orthonormal rotation, last row 0 0 0 1",
         )
-    away = float(np.linalg.norm(pose[:3, 3]))
-    require_near(away, FARTHEST, "the header's T_world_camera is", path, "is it in metres?")
     return pose
