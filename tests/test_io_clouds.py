@@ -515,9 +515,9 @@ def test_half_nan_and_half_zero_is_no_cloud(tmp_path: Path) -> None:
 def test_a_camera_beyond_all_rooms_is_refused(tmp_path: Path) -> None:
     points = np.random.default_rng(0).uniform(0, 0.1, (300, 3)) + [0, 0, 0.5]
     pose = np.eye(4)
-    pose[0, 3] = 1e300
+    pose[0, 3] = 600.0
     write_cloud(tmp_path / "far.ply", Cloud(points, T_world_camera=pose))
-    with pytest.raises(InputError, match="the camera of the header is 1e"):
+    with pytest.raises(InputError, match="the camera of the header is 600 m"):
         read_cloud(tmp_path / "far.ply")
     with pytest.raises(InputError, match=r"the object.s place is 600 m away"):
         table_place("table:600,0")
