@@ -88,7 +88,7 @@ def make_objects(
     for index in indices:
         name = f"{index:05d}_{family_of(seed, index, choices).name}"
         tasks.append((name, ObjectTask(seed, index, names, out / f"{name}.ply", force)))
-    _require_one_series(out, seed, choices, {name for name, _ in tasks} if force else set())
+    _require_one_series(out, seed, choices, {name for name, _ in tasks} if force else None)
     report = run_stage(tasks, make_file, jobs=jobs, folders=[out], on_done=on_result)
     if report.made or report.kept:
         write_manifest(out)
@@ -139,9 +139,10 @@ def write_manifest(folder: Path) -> Path:
 
 
 def _require_one_series(
-    folder: Path, seed: int, choices: Sequence[Family], replaced: Set[str]
+    folder: Path, seed: int, choices: Sequence[Family], replaced: Set[str] | None
 ) -> None:
-    """Refuse to mix objects of two seeds in one folder; those of this run's numbers are `replaced`.
+    """Refuse to mix objects of two seeds in one folder; with `replaced`, remove instead those with
+    the numbers of these names, and leave the others.
 
     Raises:
         OptionsDifferError: The folder has an object that this seed and these families do not make.
@@ -154,10 +155,11 @@ def _require_one_series(
         about = read_object_about(other) if other.stem != ours else None
         if about is None:
             continue
-        if ours not in replaced:
+        if replaced is None:
             what = f"has the number of {ours}, but is of another seed or other families"
             raise OptionsDifferError.of_file(other, f"{what} (seed {about.get('seed')})")
-        other.unlink(missing_ok=True)
+        if ours in replaced:
+            other.unlink(missing_ok=True)
 
 
 def _is_same(task: ObjectTask) -> bool:
