@@ -6,8 +6,8 @@ CAPTURES holds folders with depth.png (0.1 mm a step), K.json, truth.json and ei
 T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Chamfer distance of
 
 1. each registered object in each capture, cut out by its label (2 px too small) or by the table's
-   plane: the bare cloud; cleaned; with the depth image around it; with the support plane and the
-   mask grown to the depth's edge, as `plan` and `mesh` of a depth image;
+   plane: the bare cloud; cleaned; with the depth image around it; and as `plan` and `mesh` of a
+   depth image see it, with the support plane and the mask grown to the depth's edge;
 2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px, with
    the image around them: the mask as it is, and grown.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,13 +24,15 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 from PIL import Image
-from registered import registered_objects
+from registered import Registered, registered_objects
 from scipy import ndimage
 
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.camera.scene_file import read_depth_image
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import leave_with_message
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, random_rotation, transform
@@ -41,6 +44,9 @@ from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.scene_input import stand_on_table
+from pointsdf_cli.planning.table_top import look_at_table
+from pointsdf_cli.planning.target import completed as planner_completed
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
 SAMPLES = 20_000
@@ -59,8 +65,8 @@ class Case(NamedTuple):
     """[K, 2], tangents of the mask's pixels without depth."""
 
 
-def real_cases(captures: Path, meshes: Path) -> Iterator[tuple[Case, Case]]:
-    """Every object of the captures whose pose is known: by its mask as it is, and grown."""
+def real_cases(captures: Path, meshes: Path) -> Iterator[tuple[Case, View]]:
+    """Every object of the captures whose pose is known, and the planner's view of it."""
     for one in registered_objects(captures, meshes):
         camera, depth = one.view()
         v, u = np.nonzero(depth > 0)
@@ -68,22 +74,30 @@ def real_cases(captures: Path, meshes: Path) -> Iterator[tuple[Case, Case]]:
         plane = table_plane(points[points[:, 2] < 1.6])
         height_above = points @ plane[:3] - plane[3]
 
-        rays = None
+        rays = mask = None
         if one.label is None:
             mine = (height_above > PLANE_BAND) & (height_above < 0.4) & (points[:, 2] < 0.9)
-            masks = mine, mine
         else:
             label = np.asarray(Image.open(one.folder / "label.png"))
             mask = ndimage.binary_erosion(label == one.label, iterations=2)
-            above = np.zeros(depth.shape, dtype=bool)
-            above[v, u] = height_above > PLANE_BAND
-            masks = mask[v, u], grown_mask(mask, depth, camera.fx, above)[v, u]
-            rays = camera.rays_of(mask & (depth <= 0))
-        as_it_is, grown = (
-            Case(one.name, points[m], points[~m], plane, one.mesh, one.T_camera_mesh, rays)
-            for m in masks
-        )
-        yield as_it_is, grown
+            mine, rays = mask[v, u], camera.rays_of(mask & (depth <= 0))
+        case = Case(one.name, points[mine], points[~mine], plane, one.mesh, one.T_camera_mesh, rays)
+        yield case, planned_view(one, mask)
+
+
+def planned_view(one: Registered, mask: NDArray[np.bool_] | None) -> View:
+    """The view that `plan` has of the object in a depth image, with a mask [height, width] if it
+    does not stand alone."""
+    camera, _ = one.view()
+    cloud = read_depth_image(one.folder / "depth.png", one.folder / "K.json", depth_scale=1e-4)
+    if mask is not None and cloud.pixels is not None:
+        u, v = cloud.pixels.astype(np.int64).T
+        measured = np.zeros_like(mask)
+        measured[v, u] = True
+        rays = camera.rays_of(mask & ~measured)
+        cloud = replace(cloud, mask=mask[v, u], mask_rays=rays)
+    on_table, _ = stand_on_table(cloud, one.name, (0.6, 0.0))
+    return look_at_table([on_table], [one.name], None, np.zeros(0)).views[0]
 
 
 def exact_cases(meshes: Path, erosion: int, grown: bool = False, most: int = 13) -> Iterator[Case]:
@@ -129,11 +143,16 @@ def completed(
     model: ShapeModel, case: Case, points: Array, evidence: ViewEvidence | None, seed: int = 0
 ) -> tuple[Score, tuple[Array, NDArray[np.int64]] | None]:
     """The score of one reconstruction, and its mesh in the camera frame."""
-    rng = np.random.default_rng(1)
-    truth = Shape(
-        apply_transform(case.T_camera_mesh, case.mesh.vertices), case.mesh.faces, rng, SAMPLES
-    )
     shape = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed, evidence=evidence)
+    return scored(shape, case.T_camera_mesh, case.mesh)
+
+
+def scored(
+    shape: Reconstruction, pose: Array, mesh: LoadedMesh
+) -> tuple[Score, tuple[Array, NDArray[np.int64]] | None]:
+    """The score of a reconstruction by a scan at a pose [4, 4], and its mesh."""
+    rng = np.random.default_rng(1)
+    truth = Shape(apply_transform(pose, mesh.vertices), mesh.faces, rng, SAMPLES)
     try:
         made = mesh_reconstruction(shape, 64)
     except EmptySurfaceError:
@@ -153,22 +172,22 @@ def main() -> None:
     options = parser.parse_args()
     model = load_model(options.checkpoint)
 
-    print("real depth: IoU (Chamfer mm)   bare | cleaned | with the image | with plane, mask grown")
+    print("real depth: IoU (Chamfer mm)   bare | cleaned | with the image | as `plan`")
     rows, table = [], []
-    for case, grown in real_cases(options.captures, options.meshes):
+    for case, view in real_cases(options.captures, options.meshes):
         kept = case.points[clean(case.points).kept]
-        more = grown.points[clean(grown.points).kept]
+        T_world_mesh = view.T_world_camera @ case.T_camera_mesh
         found = [
             completed(model, case, case.points, None),
             completed(model, case, kept, None),
             completed(model, case, kept, evidence_of(case, kept, with_plane=False)),
-            completed(model, grown, more, evidence_of(grown, more)),
+            scored(planner_completed(model, view, seed=0), T_world_mesh, case.mesh),
         ]
         table.append([[score.iou, score.chamfer] for score, _ in found])
         said = " | ".join(f"{score.iou:.3f} ({1e3 * score.chamfer:.1f})" for score, _ in found)
         print(f"{case.name:40s} {said}", flush=True)
-        truth = (apply_transform(case.T_camera_mesh, case.mesh.vertices), case.mesh.faces)
-        rows.append(GalleryRow(case.name.replace(" ", "\n"), kept, found[3][1], truth))
+        truth = (apply_transform(T_world_mesh, case.mesh.vertices), case.mesh.faces)
+        rows.append(GalleryRow(case.name.replace(" ", "\n"), view.in_world, found[3][1], truth))
     mean = np.mean(table, axis=0)
     print(f"{'mean':40s} " + " | ".join(f"{iou:.3f} ({1e3 * cd:.1f})" for iou, cd in mean))
     if options.picture:

@@ -66,7 +66,9 @@ def test_trials_resume_and_do_not_depend_on_jobs(
     refused = cli(*changed)
     assert refused.code == 2
     assert "other options" in refused.err
-    assert cli(*changed, "--force").code == 0
+    replaced = cli(*changed, "--force")
+    assert replaced.code == 0
+    assert f"1 other trials in {out / 'trials'} are in no table" in replaced.out
 
 
 def same(one: Any, two: Any) -> None:

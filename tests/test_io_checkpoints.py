@@ -230,6 +230,12 @@ def test_what_killed_runs_were_writing_is_removed(checkpoint: Path) -> None:
     assert load_model(checkpoint)
 
 
+def test_a_folder_keeps_its_permissions(checkpoint: Path) -> None:
+    checkpoint.chmod(0o700)
+    write_checkpoint(checkpoint, config={"architecture": "other", "model": {}})
+    assert checkpoint.stat().st_mode & 0o777 == 0o700
+
+
 def test_files_of_a_checkpoint_follow_the_umask(tmp_path: Path) -> None:
     before = os.umask(0o077)
     try:

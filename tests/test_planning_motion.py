@@ -19,6 +19,7 @@ from pointsdf_cli.io.motion_file import velocities_of
 from pointsdf_cli.planning import approach
 from pointsdf_cli.planning import motion as motion_module
 from pointsdf_cli.planning.approach import LENGTH, retreat
+from pointsdf_cli.planning.cancellation import CancelledError, cancellable
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig, plan_motion
 from pointsdf_cli.planning.path_check import PathChecker
@@ -214,6 +215,24 @@ def test_a_motion_does_not_depend_on_any_clock(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.undo()
     assert slow.failure == ""
     np.testing.assert_array_equal(slow.corners, usual.corners)
+
+
+@pytest.mark.usefixtures("search_alone")
+def test_a_cancelled_search_ends_at_once() -> None:
+    checker, start, q = behind_a_wall()
+    begun = checker.checked
+    usual = plan_motion(checker, IK, start, q, seed=1)
+    needed = checker.checked - begun
+    assert usual.failure == ""
+    begun, asked = checker.checked, []
+
+    def stopped() -> bool:
+        asked.append(0)
+        return len(asked) > 2  # once before the search
+
+    with cancellable(stopped), pytest.raises(CancelledError):
+        plan_motion(checker, IK, start, q, seed=1)
+    assert checker.checked - begun < needed
 
 
 @pytest.mark.usefixtures("search_alone")

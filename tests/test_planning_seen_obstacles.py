@@ -44,6 +44,23 @@ def test_a_hull_encloses_its_points_and_reaches_down_to_the_table() -> None:
     assert floating.vertices[:, 2].min() == pytest.approx(0.13)
 
 
+def test_a_corner_of_walls_leaves_the_table_free() -> None:
+    """Its convex hull would fill the corner."""
+    rng = np.random.default_rng(0)
+    back = rng.random((40_000, 3)) * (1.0, 0.01, 0.5) + (0.2, 0.5, 0.0)
+    side = rng.random((40_000, 3)) * (0.01, 1.0, 0.5) + (0.2, -0.5, 0.0)
+    shelf = rng.random((40_000, 3)) * (1.0, 0.3, 0.01) + (0.2, 0.2, 0.45)
+    found = hulls(np.concatenate([back, side, shelf]))
+    free = np.array([[0.6, 0.0, 0.1], [0.6, 0.3, 0.1], [0.9, 0.4, 0.3]])
+    filled = np.array([[0.65, 0.505, 0.25], [0.205, 0.05, 0.25], [0.65, 0.35, 0.455]])
+    inside = np.zeros(6, dtype=bool)
+    for hull in found:
+        solid = SignedDistance(hull.vertices, hull.faces)
+        inside |= solid(np.concatenate([free, filled])) < 0
+    assert not inside[:3].any()
+    assert inside[3:].all()
+
+
 @pytest.mark.parametrize("sides", [(0.05, 0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0)])
 def test_flat_groups_are_thick_enough_for_distances(sides: tuple[float, ...]) -> None:
     """One side of a box, exactly seen, is flat; coal crashed on its hull."""

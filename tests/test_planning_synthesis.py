@@ -346,6 +346,15 @@ def test_of_fallbacks_those_with_clear_fingers_come_first() -> None:
     nearer = replace(near, success=0.5, closing_slack=-0.004)  # hardly
     deep = replace(near, closing_slack=-0.03)
     rejected = [deep, nearer, near, clear]
-    found = _outcome([], rejected, 8, SeedStatistics(), SynthesisConfig(), {})
+    found = _outcome([], rejected, 8, SeedStatistics(), SynthesisConfig(), {}, clearance=0.001)
     expected = [clear, nearer, near, deep]
     assert all(c is d for c, d in zip(found.fallbacks, expected, strict=True))
+
+
+def test_the_likeliest_fallback_is_chosen_and_not_the_one_of_least_objective() -> None:
+    none = np.zeros(0)
+    usual = Candidate(none, none, 0.04, 0.0, 3.0, 1.0, 1.0, 1.0, 1.0, "low_success_probability")
+    likely = replace(usual, success=0.55, objective=6.0, reason="objective")
+    statistics = SeedStatistics()
+    found = _outcome([], [usual, likely], 8, statistics, SynthesisConfig(), {}, clearance=0.001)
+    assert found.fallbacks[0] is likely

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scenes
 import trimesh
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.table_objects import LOOSE
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
@@ -363,6 +365,22 @@ def test_a_group_that_joins_the_object_to_another_is_no_obstacle_there() -> None
     left = view.world[view.objects.label >= 0]
     assert left[:, 1].min() > -0.001
     np.testing.assert_allclose(left.max(axis=0), np.array(TWINS[1]) + [0.04, 0.04, 0.05], atol=0.01)
+
+
+def test_rays_to_what_is_too_far_for_a_cloud_are_free() -> None:
+    """Seen from a low camera, the room behind the table shows where the object ends."""
+    pose = look_at((1.3, 0.0, 0.15), (0.6, 0.0, 0.06))
+    can = scenes.can(0.03, 0.12, (0.6, 0.0))
+    depth = scenes.seen(scenes.table(), can, pose=pose)
+    room = np.where(depth > 0, depth, 4.0)
+    free = {}
+    for name, image in (("nothing", depth), ("room", room)):
+        view = cloud_of_depth(image, scenes.CAMERA, pose, farthest=2.5)
+        (seen,) = look_at_table([view], ["a"], None, np.zeros(0)).views
+        above = seen.evidence.visibility.free[2]
+        free[name] = float((above > 0).mean())
+    assert free["nothing"] < 0.1
+    assert free["room"] > 0.9
 
 
 def test_an_object_of_very_many_points_is_thinned() -> None:

@@ -387,6 +387,17 @@ def test_a_token_is_asked_for(cli: Callable, monkeypatch: pytest.MonkeyPatch) ->
         assert "RGRASP_TOKEN" in run.err
 
 
+def test_a_defect_is_answered_in_the_form_of_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Resident):
+        def mesh(self, *_: object, **__: object) -> None:
+            raise ZeroDivisionError
+
+    with Server(Broken()) as running:
+        found = post(running, "/mesh", cloud_body(TABLE))
+    assert found.status_code == 500
+    assert found.json()["error"]["what"] == "the server failed; its terminal says why"
+
+
 def test_one_works_the_next_wait_and_more_are_refused() -> None:
     queue, go = RequestQueue(places=1), threading.Event()
     first, second = queue.take_place(), queue.take_place()

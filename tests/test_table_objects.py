@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.hollow import whole_bowls
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import _upright, find_support_plane, pose_over_plane
@@ -105,6 +106,20 @@ def test_an_object_cut_by_a_small_workspace_is_said_to_go_on() -> None:
         first = scene.listed[0]
         said = describe(scene, first, sighting(scene, first))
         assert ("widen --workspace" in said) == told
+
+
+def test_an_object_cut_by_the_image_is_said_to_be() -> None:
+    depth = scenes.seen(scenes.table(), scenes.box((0.06, 0.08, 0.12), (0.6, 0.0)))
+    # A RealSense measures nothing in a strip along the left border: it is no part of the image.
+    strip, half = depth.copy(), depth.copy()
+    strip[:, :60], half[:, :320] = 0.0, 0.0
+    whole = scenes.CAMERA
+    right = replace(whole, width=320, cx=whole.cx - 320)
+    for image, camera, told in ((strip, whole, False), (half[:, 320:], right, True)):
+        scene = label_view(cloud_of_depth(image, camera, scenes.POSE), "a", WORKSPACE)
+        first = scene.listed[0]
+        said = describe(scene, first, sighting(scene, first))
+        assert ("the image's border cuts it off" in said) == told
 
 
 def test_the_middle_of_the_image_is_meant_and_not_the_largest() -> None:

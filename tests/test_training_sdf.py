@@ -580,6 +580,13 @@ def test_a_loss_that_is_no_number_ends_the_run_and_leaves_no_weights(
         assert all(torch.isfinite(t).all() for t in load_file(stored).values())
 
 
+def test_weights_that_the_last_step_ruined_are_not_kept(pack: Pack, tmp_path: Path) -> None:
+    wild = replace(CONFIG, learning_rate=1e38, warmup=0, clip=0.0, steps=1, validate_every=1)
+    with pytest.raises(RgraspError, match="lower --learning-rate"):
+        _run(pack, tmp_path / "ckpt", wild)
+    assert not (tmp_path / "ckpt" / "model.safetensors").exists()
+
+
 def test_the_published_recipe_is_a_hundred_epochs(  # type: ignore[no-untyped-def]
     cli, artifacts: Path, tmp_path: Path
 ) -> None:

@@ -22,6 +22,7 @@ from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, t
 from pointsdf_cli.io.clouds import Cloud, frame_comments, write_cloud
 from pointsdf_cli.io.grasps import Grasps, GraspsMeta, write_grasps
 from pointsdf_cli.io.meshes import save_mesh
+from pointsdf_cli.io.plans import read_plan, write_plan
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.trials import Evidence, write_trial
 from pointsdf_cli.io.views import Views, write_views
@@ -169,6 +170,15 @@ def test_a_plan_turns_the_robot_about_its_first_axis(tmp_path: Path) -> None:
     assert end[2] == pytest.approx(start[2])
     base = scene.bodies.index("lbr4_link_0")
     assert np.allclose(scene.poses[:, base], np.eye(4))
+
+
+def test_a_plan_without_a_table_is_shown_without_one(tmp_path: Path) -> None:
+    path = turning_plan_file(tmp_path, ROBOT)
+    assert part(scene_of(path, OPTIONS), "table")
+    plan = read_plan(path)
+    bare = replace(plan, link_clearance_table=np.full(len(plan.link_names), np.inf))
+    write_plan(path, bare, seed=0)
+    assert "table" not in [one.layer for one in scene_of(path, OPTIONS).parts]
 
 
 def test_what_a_trial_believed_stands_where_it_was_seen_and_moves_along(tmp_path: Path) -> None:

@@ -84,6 +84,8 @@ def write_checkpoint(
     temporary = temporary_beside(path)
     try:
         temporary.mkdir(parents=True)
+        if path.exists():
+            shutil.copymode(path, temporary)
         # In memory first: both libraries answer to a full disk with errors of their own.
         if weights is not None:
             (temporary / WEIGHTS).write_bytes(save(_storable(weights, half)))

@@ -65,6 +65,14 @@ class DepthImage:
     depth: NDArray[np.float64]
     K: NDArray[np.float64]
 
+    def beyond(self, depth: float) -> NDArray[np.float64]:
+        """The points [N, 3] (camera frame, m) that are deeper than `depth` [m] and no farther than
+        `FARTHEST`: they are too far for a cloud, but the rays to them are free."""
+        v, u = np.nonzero((self.depth > depth) & (self.depth <= FARTHEST))
+        pixels = np.stack([u, v, np.ones(len(u))], axis=1)
+        rays: NDArray[np.float64] = pixels @ np.linalg.inv(self.K).T
+        return rays * self.depth[v, u, None]
+
 
 @dataclass(frozen=True)
 class Cloud:

@@ -2,7 +2,7 @@
 
     with cancellable(stopped): planner.plan(...)     # raises CancelledError once stopped() is true
 
-Planning checks between stages, rounds and motions, which last a fraction of a second each.
+Planning checks between stages, rounds and motions, and while it searches for a motion.
 """
 
 from __future__ import annotations
@@ -20,13 +20,18 @@ class CancelledError(RgraspError):
     """The client no longer waits."""
 
 
+def is_cancelled() -> bool:
+    """Whether the work of this thread was cancelled."""
+    return _stopped.get()()
+
+
 def stop_if_cancelled() -> None:
     """End the work of this thread if it was cancelled.
 
     Raises:
         CancelledError: It was cancelled.
     """
-    if _stopped.get()():
+    if is_cancelled():
         raise CancelledError("cancelled")
 
 

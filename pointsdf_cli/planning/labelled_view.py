@@ -45,6 +45,14 @@ GENEROUS = 0.1
 no depth are not taken for the object's."""
 
 
+AT_BORDER, CUT = 1, 5
+"""Distance [px] to the image's border, and the number of an object's pixels so near to it, from
+which the border cuts the object off."""
+STRIP, FILLED = 0.15, 0.2
+"""Widest strip along a border in which a camera measures nothing, as a share of the image; it ends
+at a row or column of which a larger share than `FILLED` has depths."""
+
+
 @dataclass(frozen=True)
 class LabelledView:
     """One camera's view, thinned to M of its N points.
@@ -272,4 +280,23 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
         said += "; it may be several objects in contact: --mask selects one"
     if item.label in view.objects.cut:
         said += "; it goes on outside of the workspace, unseen: widen --workspace"
+    if _is_cut_by_image(view, label == item.label):
+        said += "; the image's border cuts it off: aim the camera at all of it"
     return said
+
+
+def _is_cut_by_image(view: LabelledView, mine: Mask) -> bool:
+    """Whether points of an object, a mask [N], lie at the border of what the image measured."""
+    pixels, image = view.cloud.pixels, view.cloud.image
+    if pixels is None or image is None:
+        return False
+    cut = np.zeros(int(mine.sum()), dtype=bool)
+    for axis, side in enumerate((1, 0)):
+        # Cameras measure nothing in a strip along some of the borders.
+        size = image.depth.shape[side]
+        filled = np.flatnonzero((image.depth > 0).mean(axis=1 - side) > FILLED)
+        first = min((k for k in filled if k < STRIP * size), default=0)
+        last = max((k for k in filled if k > (1 - STRIP) * size), default=size - 1)
+        at = pixels[mine, axis]
+        cut |= (at <= first + AT_BORDER) | (at >= last - AT_BORDER)
+    return int(cut.sum()) >= CUT

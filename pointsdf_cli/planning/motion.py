@@ -18,7 +18,7 @@ from ompl import util as ou
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.approach import retreat, with_arm
-from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.cancellation import is_cancelled, stop_if_cancelled
 from pointsdf_cli.planning.option_checks import SPEED, check_speed
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.timing import Trajectory, time_path
@@ -177,7 +177,10 @@ def _connect(
     planner.setProblemDefinition(problem)
     planner.setup()
     most = checker.checked + config.checks
-    if not planner.solve(ob.PlannerTerminationCondition(lambda: checker.checked > most)):
+    ends = ob.PlannerTerminationCondition(lambda: checker.checked > most or is_cancelled())
+    solved = planner.solve(ends)
+    stop_if_cancelled()
+    if not solved:
         return None
     if not problem.hasExactSolution():
         return None

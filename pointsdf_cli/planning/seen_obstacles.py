@@ -1,7 +1,8 @@
 """Other objects on the table as obstacles: reconstructions, or hulls of their seen points.
 
 A hull ends where the camera's view does; a reconstruction has a back, too. Each object is completed
-from the view that shows it, with the evidence of that view.
+from the view that shows it, with the evidence of that view. Walls and other long things, of which
+the network has learned none, are hulls of narrow columns: the hull of a corner would fill a room.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array, Surface
-from pointsdf_cli.geometry.box import horizontal_width, thin_directions
+from pointsdf_cli.geometry.box import thin_directions
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
@@ -31,7 +32,7 @@ from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.object_choice import ListedObject
 from pointsdf_cli.planning.robot_geometry import CollisionMesh
-from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
+from pointsdf_cli.planning.table_top import TableTop, view_of
 from pointsdf_cli.planning.target import completed
 
 RESOLUTION = 32
@@ -58,6 +59,11 @@ SMALLEST = 12
 """Number of points, one a voxel, from which a group of them is an obstacle: a die 2 cm wide has 23
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
+
+LONGEST, COLUMN = 0.6, 0.15
+"""Level extent [m] above which a thing is divided into columns, and the side of these."""
+STANDING = 0.1
+"""Height [m] of its lowest seen point up to which a column reaches down to the table."""
 
 LEAST_THICKNESS = 0.001
 """Thickness [m] that flat groups of points are given."""
@@ -118,6 +124,8 @@ def _completed(
     network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
 ) -> list[CollisionMesh]:
     stop_if_cancelled()
+    if item.size[0] > LONGEST:
+        return hulls(labelled.world[labelled.objects.label == item.label])
     view = view_of(labelled, sighting(labelled, item, cleaned, is_target=False))
     return obstacle_surfaces(network, view, seed)
 
@@ -130,7 +138,7 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Co
     """
     points = view.in_world
     points = points[thin(points, VOXEL).first] if len(points) else points
-    if len(points) < FEWEST_MISSED or horizontal_width(points) > WIDEST:
+    if len(points) < FEWEST_MISSED or _level_extent(points) > LONGEST:
         return hulls(points)
     shape = completed(network, view, seed).in_fast_precision
     try:
@@ -172,28 +180,45 @@ def _missed(points: Array, mesh: CollisionMesh) -> Array:
 
 
 def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[CollisionMesh]:
-    """The convex hull of each cluster of points.
+    """The convex hull of each cluster of points; of a long one, those of its columns.
 
     Args:
         points: [N, 3], world, m; what one camera saw, or several.
         fewest: Clusters of fewer points are noise.
-        to_table: Whether each hull reaches down to the table.
+        to_table: Whether the hulls reach down to the table; of a long cluster, those of columns
+            that begin near it.
     """
     found: list[CollisionMesh] = []
     if not len(points):
         return found
-    import trimesh  # a quarter of a second, which a scene of whole objects does without
-
     label, counts = clusters(points, GAP)
     for k in np.flatnonzero(counts >= fewest):
         cluster = points[label == k]
-        foot = cluster[: len(cluster) * to_table] * [1.0, 1.0, 0.0]
-        corners = np.concatenate([cluster, foot])
-        # A plane side of a box may be all that is seen of a part; coal crashes on flat hulls.
-        for across in thin_directions(corners, LEAST_THICKNESS):
-            shift = LEAST_THICKNESS / 2 * across
-            corners = np.concatenate([corners - shift, corners + shift])
-        hull = trimesh.convex.convex_hull(corners)
-        vertices, faces = np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32)
-        found.append(CollisionMesh.of(vertices, faces))
+        if _level_extent(cluster) <= LONGEST:
+            found.append(_hull(cluster, to_table))
+            continue
+        cell = np.floor(cluster[:, :2] / COLUMN).astype(np.int64)
+        _, column = np.unique(cell, axis=0, return_inverse=True)
+        for j in range(column.max() + 1):
+            part = cluster[column.ravel() == j]
+            found.append(_hull(part, to_table and part[:, 2].min() < STANDING))
     return found
+
+
+def _hull(points: Array, to_table: bool) -> CollisionMesh:
+    """The convex hull of points [N, 3], and of their feet on the table."""
+    import trimesh  # a quarter of a second, which a scene of whole objects does without
+
+    corners = np.concatenate([points, points * [1.0, 1.0, 0.0]]) if to_table else points
+    # A plane side of a box may be all that is seen of a part; coal crashes on flat hulls.
+    for across in thin_directions(corners, LEAST_THICKNESS):
+        shift = LEAST_THICKNESS / 2 * across
+        corners = np.concatenate([corners - shift, corners + shift])
+    hull = trimesh.convex.convex_hull(corners)
+    vertices, faces = np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32)
+    return CollisionMesh.of(vertices, faces)
+
+
+def _level_extent(points: Array) -> float:
+    """Diagonal [m] of the upright box around points [N, 3], seen from above."""
+    return float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))

@@ -78,7 +78,7 @@ class Synthesis:
         best: The accepted candidate that is most likely to hold; None if there is none.
         accepted: The accepted candidates that are most likely to hold, best first: the best may
             have no motion.
-        fallbacks: The best few free candidates that are unlikely to hold, used if none is accepted.
+        fallbacks: The likeliest few free candidates that were not accepted, used if none is.
         rejected: All other candidates.
         reason: Reason code if there is no plan; else empty.
         sentence: The reason in words.
@@ -173,7 +173,7 @@ def synthesise(
         if not accepted and turn + 1 >= LEAST_ROUNDS and after > STALLED * before:
             break
     best_first = likeliest_first(accepted, clearance)
-    return _outcome(best_first, rejected, tried, statistics, config, timings)
+    return _outcome(best_first, rejected, tried, statistics, config, timings, clearance)
 
 
 def _solved(
@@ -270,14 +270,16 @@ def _outcome(
     statistics: SeedStatistics,
     config: SynthesisConfig,
     timings: dict[str, float],
+    clearance: float,
 ) -> Synthesis:
     """Candidates of all rounds, best first, with the reason where none was accepted."""
     reason = sentence = ""
     if not accepted:
         reason, sentence = why_none(statistics, rejected, tried, config.acceptance)
     fallbacks = [c for c in rejected if c.is_fallback(config.acceptance)]
+    fallbacks = likeliest_first(fallbacks, clearance)
     # First those whose fingers stay clear of obstacles.
-    fallbacks.sort(key=lambda c: (np.ceil(max(-c.closing_slack, 0.0) / NEARER), c.objective))
+    fallbacks.sort(key=lambda c: np.ceil(max(-c.closing_slack, 0.0) / NEARER))
     if is_hemmed_in(statistics):  # what is free there stands beside the object
         fallbacks = []
     left = [replace(c, reason="not_tried") for c in accepted[MOST_MOTIONS:]]

@@ -230,8 +230,11 @@ def table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
 def view_of(view: LabelledView, seen: Sighting) -> View:
     """The planner's view of what was seen of an object in a labelled view."""
     plane, depth = view.plane_in_camera(), view.cloud.image
-    pitch = None if depth is None else 1.0 / float(depth.K[0, 0])
-    image = visibility_image(seen.object_points, seen.other_points, plane, pitch, seen.object_rays)
+    pitch, others = None, seen.other_points
+    if depth is not None:
+        pitch = 1.0 / float(depth.K[0, 0])
+        others = np.concatenate([others, depth.beyond(float(view.cloud.points[:, 2].max()))])
+    image = visibility_image(seen.object_points, others, plane, pitch, seen.object_rays)
     return View(_thinned(seen.object_points), view.T_world_camera, ViewEvidence(image, plane))
 
 

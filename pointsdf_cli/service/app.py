@@ -78,6 +78,7 @@ def make_app(
         redoc_url=None,
     )
     app.add_middleware(Gate, host=host, token=token)
+    app.add_exception_handler(Exception, _unexpected)
 
     @app.get("/health")
     async def health() -> dict[str, Any]:
@@ -251,6 +252,11 @@ async def _body(request: Request, largest: int) -> bytes:
             "--largest-body",
         )
     return b"".join(parts)
+
+
+async def _unexpected(_: Request, __: Exception) -> Response:
+    """Answer to a request that met a defect; its traceback goes to the server's terminal."""
+    return _error_response(RgraspError("the server failed; its terminal says why"), 500)
 
 
 def _form(request: Request) -> str:

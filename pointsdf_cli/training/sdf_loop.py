@@ -221,6 +221,7 @@ class _Run:
         self.collect_losses()
         model, loss = self.average.model, self._config.loss
         result = validate(self._pack, self._split, model, loss, self._precision, self._device)
+        finite(result.object_loss, self.step)
         mean = self._loss_sum / self._loss_count
         entry = {"step": self.step, "seconds": self.seconds, "train_loss": mean}
         entry |= result._asdict()

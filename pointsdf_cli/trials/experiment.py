@@ -83,6 +83,10 @@ def write_results(
     found: dict[str, Any] = {"trials": len(rows), "refused": reasons}
     if not rows:
         return found, []
+    others = {*(out / "trials").glob("*.h5")} - {task.out for task in tasks.values()}
+    left = (
+        f"{len(others)} other trials in {out / 'trials'} are in no table: these options name none"
+    )
     seed, config = tried[0].trial.seed, tried[0].config.as_dict()
     write_trials(out / "trials.h5", rows, seed=seed, config=config)
     title = f"rgrasp trials: {out.resolve().name}"
@@ -98,7 +102,7 @@ def write_results(
         "no_plan": {s.name: s.no_plan.value for s in summaries},
         "contact": {s.name: s.contact.value for s in summaries},
     }
-    return found, [_line(summary) for summary in summaries]
+    return found, [_line(summary) for summary in summaries] + [left] * bool(others)
 
 
 def _reasons(tasks: Mapping[str, TrialTask], refused: Mapping[str, InputError]) -> dict[str, str]:

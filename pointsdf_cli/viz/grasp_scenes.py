@@ -54,7 +54,10 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
     plan = read_plan(path)
     require_joints(path, plan.joint_names, options.robot)
     robot = MovingRobot(options.robot)
-    parts = [*robot.parts, table_part(), axes("world", "axes", 0.1)]
+    parts = [*robot.parts, axes("world", "axes", 0.1)]
+    # Infinite for all links of a plan that was told of no table.
+    if not np.isposinf(plan.link_clearance_table).all():
+        parts.append(table_part())
     if len(plan.object_faces):
         vertices, faces = plan.object_vertices, plan.object_faces
         parts.append(Part("object", "object", "mesh", vertices, faces, OBJECT_COLOUR, opacity=0.6))
