@@ -70,8 +70,7 @@ class DepthImage:
         `FARTHEST`: they are too far for a cloud, but the rays to them are free."""
         v, u = np.nonzero((self.depth > depth) & (self.depth <= FARTHEST))
         pixels = np.stack([u, v, np.ones(len(u))], axis=1)
-        rays: NDArray[np.float64] = pixels @ np.linalg.inv(self.K).T
-        return rays * self.depth[v, u, None]
+        return np.asarray(pixels @ np.linalg.inv(self.K).T * self.depth[v, u, None])
 
 
 @dataclass(frozen=True)
