@@ -49,7 +49,7 @@ def standing_objects(objects: TableObjects, points: Array, camera: Array) -> NDA
     low, high = np.percentile(level[piece == sizes.argmax(), :2], [1, 99], axis=0)
     for one in range(objects.count):
         mine = label == one
-        if not mine.any():  # a mask took all of it
+        if not mine.any() or one in objects.raised:  # a mask took all of it, or it is carried
             continue
         lowest = mine & (height < height[mine].min() + FOOT)
         foot = points[lowest] - height[lowest, None] * plane[:3]

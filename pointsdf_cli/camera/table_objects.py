@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.concave_split import standing_parts
 from pointsdf_cli.camera.hollow import whole_bowls
+from pointsdf_cli.camera.raised_support import RaisedSupport, raised_support
 from pointsdf_cli.camera.segmentation import (
     FEWEST,
     GAP,
@@ -55,12 +57,24 @@ class TableObjects:
         plane: [4], (unit normal, offset) of the table in the world; None if none was seen.
         unsplit: Objects that look like several in contact but could not be separated.
         cut: Objects that go on farther outside of the workspace than they are followed.
+        raised: Height above the table [m] of what carries an object that stands on a tray, in a box
+            or on a pedestal.
+        supports: Height above the table [m] of the wide level surface of an object that has one,
+            such as a tray; it may carry others.
     """
 
     label: NDArray[np.int64]
     plane: Array | None
     unsplit: frozenset[int] = frozenset()
     cut: frozenset[int] = frozenset()
+    raised: Mapping[int, float] = field(default_factory=dict)
+    supports: Mapping[int, float] = field(default_factory=dict)
+
+    def plane_below(self, label: int) -> Array | None:
+        """Plane [4], as `plane`, on which an object stands."""
+        if self.plane is None or label not in self.raised:
+            return self.plane
+        return np.asarray(self.plane + [0.0, 0.0, 0.0, self.raised[label]])
 
     @property
     def count(self) -> int:
@@ -108,18 +122,27 @@ def segment_table(
         own = _bridged(points[index], height, own)
     big = np.flatnonzero(np.bincount(own) >= FEWEST)
     label[index] = LOOSE
-    unsplit: set[int] = set()
+    unsplit, supports, raised = set[int](), dict[int, RaisedSupport](), dict[int, float]()
     count = 0
     for one in big:
         mine = np.flatnonzero(own == one)
         parts, doubtful = np.zeros(len(mine), dtype=np.int64), frozenset[int]()
-        if one not in bowls:  # the valley between a bowl's walls parts nothing
+        if found := raised_support(points[index[mine]], height[mine]):
+            supports[count], parts = found, found.part
+            raised |= {count + k: found.height for k in range(1, int(parts.max()) + 1)}
+        elif one not in bowls:  # the valley between a bowl's walls parts nothing
             parts, doubtful = standing_parts(points[index[mine]], height[mine], camera)
         label[index[mine]] = count + parts
         unsplit |= {count + part for part in doubtful}
         count += int(parts.max()) + 1
+    for carrier, support in supports.items():
+        for other in sorted(set(range(count)) - {carrier, *raised}):
+            mine = np.flatnonzero(label[index] == other)
+            if len(mine) and support.carries(points[index[mine]], height[mine]):
+                raised[other] = support.height
     cut = _follow_outside(label, points, camera, plane, workspace)
-    return TableObjects(label, plane, frozenset(unsplit), cut)
+    levels = {one: support.height for one, support in supports.items()}
+    return TableObjects(label, plane, frozenset(unsplit), cut, raised, levels)
 
 
 def _follow_outside(
@@ -225,7 +248,10 @@ def add_masked_object(mask: NDArray[np.bool_], found: TableObjects) -> TableObje
         if left.sum() < max(50, 0.2 * before.sum()):
             label[left] = BESIDE_MASK
     partly = {count} if found.cut & {int(one) for one in np.unique(found.label[mask])} else set()
-    return replace(found, label=label, cut=found.cut | partly)
+    raised, mostly = dict(found.raised), int(np.bincount(found.label[chosen] + 3).argmax()) - 3
+    if mostly in raised:
+        raised[count] = raised[mostly]
+    return replace(found, label=label, cut=found.cut | partly, raised=raised)
 
 
 def _flat(height: Array, group: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -89,10 +89,10 @@ class LabelledView:
         label[known] = self.objects.label[self.voxel[known]]
         return label
 
-    def plane_in_camera(self) -> Array | None:
-        """The table's plane [4], (unit normal n that points up, offset d), n·x = d, in the camera's
-        frame; None if none was seen."""
-        plane = self.objects.plane
+    def plane_in_camera(self, label: int) -> Array | None:
+        """The plane [4] that an object stands on, in the camera's frame: (unit normal n that points
+        up, offset d), n·x = d. None if none was seen."""
+        plane = self.objects.plane_below(label)
         return None if plane is None else plane_in_camera(plane, self.T_world_camera)
 
 
@@ -152,7 +152,7 @@ def label_view(
     label = np.full(len(world), ROBOT, dtype=np.int64)
     found = segment_table(world[~own], camera, workspace)
     label[~own] = found.label
-    objects = TableObjects(label, found.plane, found.unsplit, found.cut)
+    objects = replace(found, label=label)
     mask = cloud.mask
     if mask is not None:
         mask = _to_depth_edge(cloud, mask, thinned.voxel, label)

@@ -174,14 +174,16 @@ def numbered(
             number=0,
             label=one,
             centre=(low + high) / 2,
-            size=_sides(seen, objects.plane if standing[one] else None),
+            size=_sides(seen, objects.plane_below(one) if standing[one] else None),
             points=len(seen),
             stands=bool(standing[one]),
             unsplit=one in objects.unsplit,
             image=np.median(image[mine], axis=0),
         )
         found.append((_merit(item, reach) * item.points**SIZE_POWER, item))
-    found.sort(key=lambda pair: (not pair[1].stands, -pair[0]))
+    # What stands on a tray is meant, and not the tray.
+    carries = objects.supports if objects.raised else ()
+    found.sort(key=lambda pair: (not pair[1].stands, pair[1].label in carries, -pair[0]))
     return [replace(item, number=k) for k, (_, item) in enumerate(found, 1)]
 
 

@@ -203,7 +203,7 @@ def _on_its_table(
     found = sighting(labelled, item, cleaned)
     if item.size[2] < FLAT and len(found.object_points) < LEAST_ABOVE * under_mask:
         return None, ""
-    return view_of(labelled, found), describe(labelled, item, found, place=False)
+    return view_of(labelled, found, item.label), describe(labelled, item, found, place=False)
 
 
 def _around_mask(view: Cloud, points: Array) -> ViewEvidence:

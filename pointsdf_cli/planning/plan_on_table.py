@@ -32,7 +32,13 @@ from pointsdf_cli.planning.plausibility import (
     table_warning,
 )
 from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
-from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
+from pointsdf_cli.planning.table_top import (
+    TableTop,
+    label_table,
+    look_at_table,
+    table_height,
+    workspace_of,
+)
 from pointsdf_cli.planning.take_order import OrderedObject, take_order
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import RobotDescription
@@ -252,7 +258,7 @@ def _warnings(seen: TableTop, request: PlanRequest) -> list[str]:
     # A pose from the table has no height to be wrong by.
     checked = request.segment == "auto" and has_table and not clouds[0].over_table
     off = table_warning(seen.table_height, [in_world(each) for each in clouds]) if checked else ""
-    height = (seen.table_height or 0.0) if has_table else None
+    height = (table_height(seen.labelled, carried=True) or 0.0) if has_table else None
     return [off] * bool(off) + scene_warnings(seen.views, height)
 
 

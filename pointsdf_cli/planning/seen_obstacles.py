@@ -15,6 +15,7 @@ import coal
 import numpy as np
 import scipy
 
+from pointsdf_cli.camera.raised_support import BAND
 from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
@@ -55,6 +56,9 @@ MISSED, FEWEST_MISSED = 0.006, 20
 """Seen points farther than this [m] from a reconstruction are a part that it misses, if so many lie
 together, one a voxel."""
 
+FACES = 8
+"""Number of the nearest faces; a point behind all of them is inside."""
+
 SMALLEST = 12
 """Number of points, one a voxel, from which a group of them is an obstacle: a die 2 cm wide has 23
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
@@ -62,6 +66,9 @@ at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 LONGEST, COLUMN = 0.6, 0.15
 """Level extent [m] above which a thing is divided into columns, and the side of these."""
+NARROW = 0.05
+"""Side [m] of the columns of a tray or a box, which things stand on. Floor and walls are apart: the
+hull of both is a wedge."""
 STANDING = 0.1
 """Height [m] of its lowest seen point up to which a column reaches down to the table."""
 
@@ -124,9 +131,14 @@ def _completed(
     network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
 ) -> list[CollisionMesh]:
     stop_if_cancelled()
+    points = labelled.world[labelled.objects.label == item.label]
+    plane, level = labelled.objects.plane, labelled.objects.supports.get(item.label)
+    if plane is not None and level is not None:
+        floor = np.abs(points @ plane[:3] - plane[3] - level) < BAND
+        return [*hulls(points[floor], column=NARROW), *hulls(points[~floor], column=NARROW)]
     if item.size[0] > LONGEST:
-        return hulls(labelled.world[labelled.objects.label == item.label])
-    view = view_of(labelled, sighting(labelled, item, cleaned, is_target=False))
+        return hulls(points)
+    view = view_of(labelled, sighting(labelled, item, cleaned, is_target=False), item.label)
     return obstacle_surfaces(network, view, seed)
 
 
@@ -163,11 +175,17 @@ def _enlarged(shape: Reconstruction) -> Surface:
 def _missed(points: Array, mesh: CollisionMesh) -> Array:
     """Those of the points [N, 3] that are farther than `MISSED` outside a closed mesh."""
     # What is near a point of the surface is not missed: most are near a corner or a face's middle.
-    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    corners = mesh.vertices[mesh.faces]
+    middles = corners.mean(axis=1)
     surface = scipy.spatial.KDTree(np.concatenate([mesh.vertices, middles]))
     far = points[surface.query(points)[0] > MISSED]
     if len(far) < FEWEST_MISSED:
         return far[:0]
+    # Nor is what lies behind all faces near it: most of the rest.
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    _, near = scipy.spatial.KDTree(middles).query(far, k=min(FACES, len(middles)))
+    before = ((far[:, None] - middles[near]) * normals[near]).sum(axis=-1) > 0
+    far = far[before.any(axis=1)]
     point, here, there = coal.Sphere(1e-9), coal.Transform3s.Identity(), coal.Transform3s.Identity()
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     missed = np.zeros(len(far), dtype=bool)
@@ -179,7 +197,9 @@ def _missed(points: Array, mesh: CollisionMesh) -> Array:
     return np.asarray(far[missed])
 
 
-def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[CollisionMesh]:
+def hulls(
+    points: Array, fewest: int = SMALLEST, to_table: bool = True, column: float | None = None
+) -> list[CollisionMesh]:
     """The convex hull of each cluster of points; of a long one, those of its columns.
 
     Args:
@@ -187,6 +207,8 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
         fewest: Clusters of fewer points are noise.
         to_table: Whether the hulls reach down to the table; of a long cluster, those of columns
             that begin near it.
+        column: Side [m] of the columns into which every cluster is divided; None for long ones
+            only.
     """
     found: list[CollisionMesh] = []
     if not len(points):
@@ -194,13 +216,13 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
     label, counts = clusters(points, GAP)
     for k in np.flatnonzero(counts >= fewest):
         cluster = points[label == k]
-        if _level_extent(cluster) <= LONGEST:
+        if column is None and _level_extent(cluster) <= LONGEST:
             found.append(_hull(cluster, to_table))
             continue
-        cell = np.floor(cluster[:, :2] / COLUMN).astype(np.int64)
-        _, column = np.unique(cell, axis=0, return_inverse=True)
-        for j in range(column.max() + 1):
-            part = cluster[column.ravel() == j]
+        cell = np.floor(cluster[:, :2] / (column or COLUMN)).astype(np.int64)
+        _, own = np.unique(cell, axis=0, return_inverse=True)
+        for j in range(own.max() + 1):
+            part = cluster[own.ravel() == j]
             found.append(_hull(part, to_table and part[:, 2].min() < STANDING))
     return found
 

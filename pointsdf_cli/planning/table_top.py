@@ -190,7 +190,7 @@ def _look(
             said = describe(view, item, found, place=not view.cloud.over_table)
             beside = found.others_in_world
             labelled.append((view, item.label))
-            seen.append(view_of(view, found))
+            seen.append(view_of(view, found, item.label))
             if first is None:
                 objects = (view.objects.label >= 0) & (view.objects.label != item.label)
                 first = FirstView(in_world, view.world[objects])
@@ -216,20 +216,27 @@ def _check_width(in_world: Array, name: str) -> None:
         raise NoObjectError(f"{wide}: no hand reaches around that", where=name, hint=hint)
 
 
-def table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
-    """Height of the table below the object [m], in the views that show it; None without a table."""
+def table_height(
+    labelled: Sequence[tuple[LabelledView, int]], carried: bool = False
+) -> float | None:
+    """Height of the table below the object [m], in the views that show it; None without a table.
+
+    Args:
+        labelled: The views, with the label of the object in each; -1 where it is not seen.
+        carried: Of an object on a tray or the like, the tray's height instead.
+    """
     heights = []
     for view, label in labelled:
-        plane = view.objects.plane
+        plane = view.objects.plane_below(label) if carried else view.objects.plane
         if label >= 0 and plane is not None:
             middle = np.median(view.world[view.objects.label == label, :2], axis=0)
             heights.append(float((plane[3] - plane[:2] @ middle) / plane[2]))
     return float(np.median(heights)) if heights else None
 
 
-def view_of(view: LabelledView, seen: Sighting) -> View:
+def view_of(view: LabelledView, seen: Sighting, label: int) -> View:
     """The planner's view of what was seen of an object in a labelled view."""
-    plane, depth = view.plane_in_camera(), view.cloud.image
+    plane, depth = view.plane_in_camera(label), view.cloud.image
     pitch, others = None, seen.other_points
     if depth is not None:
         pitch = 1.0 / float(depth.K[0, 0])
