@@ -8,6 +8,7 @@ import scenes
 import trimesh
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.raised_support import BAND, raised_support
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.labelled_view import WORKSPACE, LabelledView, label_view
@@ -58,6 +59,20 @@ def test_a_can_on_a_tray_or_a_pedestal_is_an_object_by_itself(height: float) -> 
     n, d = np.split(found.plane_in_camera(first.label), [3])
     foot = (np.linalg.inv(ABOVE) @ [0.6, 0.0, height, 1.0])[:3]
     assert n @ foot == pytest.approx(d[0], abs=0.003)
+
+
+def test_a_sheet_that_stands_on_a_tray_is_a_thing() -> None:
+    """Seen exactly, it has no width."""
+    level = np.stack(np.meshgrid(np.arange(0, 0.3, 0.0025), np.arange(0, 0.3, 0.0025)), axis=-1)
+    tray = np.concatenate([level.reshape(-1, 2), np.full((level[..., 0].size, 1), 0.02)], axis=1)
+    side = np.stack(np.meshgrid(np.arange(0.1, 0.2, 0.0025), np.arange(0.02, 0.1, 0.0025)), -1)
+    sheet = np.insert(side.reshape(-1, 2), 1, 0.15, axis=1)
+    points = np.concatenate([tray, sheet])
+    found = raised_support(points, points[:, 2])
+    assert found is not None
+    assert found.height == pytest.approx(0.02)
+    above = points[:, 2] > 0.02 + BAND
+    np.testing.assert_array_equal(found.part, above.astype(int))
 
 
 def test_walls_of_a_bin_belong_to_the_bin() -> None:

@@ -98,6 +98,6 @@ def _is_surrounded(foot: Array, surface: Array) -> bool:
     sector = np.floor(np.rad2deg(np.arctan2(away[:, 1], away[:, 0])) / 10.0)
     if 10.0 * len(np.unique(sector)) < SURROUNDED:
         return False
-    sides = scipy.spatial.ConvexHull(foot).equations
+    sides = scipy.spatial.ConvexHull(foot, qhull_options="QJ").equations  # of a sheet, too
     under = (surface @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1)
     return bool(under.mean() < UNDER)
