@@ -223,7 +223,7 @@ def table_height(
 
     Args:
         labelled: The views, with the label of the object in each; -1 where it is not seen.
-        carried: Of an object on a tray or the like, the tray's height instead.
+        carried: Height of a tray or the like that the object stands on, instead.
     """
     heights = []
     for view, label in labelled:
