@@ -16,10 +16,10 @@ from pointsdf_cli.camera.segmentation import FEWEST, GAP, clusters
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import horizontal_width
 
-NARROWEST = 0.15
-"""Least width [m] of a support in every horizontal direction: wings of toy aeroplanes, lids and the
-floors of pans are narrower."""
-SHARE, FILLED, CELL = 0.3, 0.5, 0.01
+NARROWEST = 0.18
+"""Least width [m] of a support in every horizontal direction: drills, wings of toy aeroplanes, lids
+and the floors of pans are narrower."""
+SHARE, FILLED, CELL = 0.3, 0.7, 0.01
 """Least share of the group's points on its level surface, and least share of the cells [m] within
 the surface's convex hull that have such points: a wall all around is not filled."""
 STEP, BAND = 0.003, 0.006
