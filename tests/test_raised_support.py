@@ -97,6 +97,19 @@ def test_what_carries_nothing_is_one_object() -> None:
     assert not toy.objects.raised
 
 
+def test_a_pedestal_is_solid_down_to_the_table() -> None:
+    """Its far side is not seen."""
+    can = lifted(scenes.can(0.033, 0.12, (0.6, 0.0)), 0.2)
+    depth = scenes.seen(scenes.table(), scenes.box((0.22, 0.22, 0.2), (0.6, 0.0)), can, pose=ABOVE)
+    top = look_at_table([scenes.cloud(depth, ABOVE)], ["a"], None, np.zeros(0))
+    obstacles, _ = seen_obstacles(top, load_model(asset_path("weights/pointsdf_plan")))
+    within = [[0.65, 0.06, 0.05], [0.53, -0.06, 0.05], [0.53, 0.08, 0.15]]
+    inside = np.zeros(3, dtype=bool)
+    for one in obstacles:
+        inside |= SignedDistance(one.vertices, one.faces)(within) < 0.001
+    assert inside.all()
+
+
 def test_the_hand_may_reach_into_a_bin() -> None:
     """A reconstruction, or one hull, would fill it."""
     can = lifted(scenes.can(0.033, 0.12, (0.55, 0.0)), FLOOR)

@@ -207,8 +207,8 @@ def hulls(
         fewest: Clusters of fewer points are noise.
         to_table: Whether the hulls reach down to the table; of a long cluster, those of columns
             that begin near it.
-        column: Side [m] of the columns into which every cluster is divided; None for long ones
-            only.
+        column: Side [m] of the columns into which every cluster is divided, all of them down to
+            the table; None divides long ones only.
     """
     found: list[CollisionMesh] = []
     if not len(points):
@@ -223,7 +223,8 @@ def hulls(
         _, own = np.unique(cell, axis=0, return_inverse=True)
         for j in range(own.max() + 1):
             part = cluster[own.ravel() == j]
-            found.append(_hull(part, to_table and part[:, 2].min() < STANDING))
+            stands = column is not None or part[:, 2].min() < STANDING
+            found.append(_hull(part, to_table and stands))
     return found
 
 
