@@ -68,7 +68,7 @@ def test_trials_resume_and_do_not_depend_on_jobs(
     assert "other options" in refused.err
     replaced = cli(*changed, "--force")
     assert replaced.code == 0
-    assert f"1 other trials in {out / 'trials'} are in no table" in replaced.out
+    assert f"1 trials of other options in {out / 'trials'} are not in the tables" in replaced.out
 
 
 def same(one: Any, two: Any) -> None:

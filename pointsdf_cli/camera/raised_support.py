@@ -53,8 +53,8 @@ class RaisedSupport(NamedTuple):
     def carries(self, points: Array, height: Array) -> bool:
         """Whether another group of points [K, 3], at these heights [K] above the table, stands on
         the surface."""
-        over = (points[:, :2] @ self.sides[:, :2].T + self.sides[:, 2] < 0).all(axis=1)
-        return bool(over.mean() > OVER and np.median(height) > self.height)
+        over = _share_within(points[:, :2], self.sides)
+        return bool(over > OVER and np.median(height) > self.height)
 
 
 def raised_support(points: Array, height: Array) -> RaisedSupport | None:
@@ -99,5 +99,9 @@ def _is_surrounded(foot: Array, surface: Array) -> bool:
     if 10.0 * len(np.unique(sector)) < SURROUNDED:
         return False
     sides = scipy.spatial.ConvexHull(foot, qhull_options="QJ").equations  # of a sheet, too
-    under = (surface @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1)
-    return bool(under.mean() < UNDER)
+    return _share_within(surface, sides) < UNDER
+
+
+def _share_within(places: Array, sides: Array) -> float:
+    """Share of places [M, 2] within a convex hull of sides [S, 3]; see `RaisedSupport`."""
+    return float((places @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1).mean())

@@ -129,7 +129,7 @@ def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
     few = points[systematic_sample(rays, SAMPLE, rng)] if len(points) > SAMPLE else points
     seen = oriented_points(few)
     tolerance, size = max(3 * seen.noise, 0.0012), float(np.ptp(few, axis=0).max())
-    # Most objects are none: few points tell them in a quarter of the time.
+    # Most objects are no vessels: fewer points show that in a quarter of the time.
     step = max(1, round(len(few) / ROUGH))
     some = OrientedPoints(seen.points[::step], seen.normals[::step], seen.noise)
     rough, upright = _best_axis(some, support_plane)

@@ -223,7 +223,7 @@ def table_height(
 
     Args:
         labelled: The views, with the label of the object in each; -1 where it is not seen.
-        carried: Height of a tray or the like that the object stands on, instead.
+        carried: Height of what carries the object, such as a tray, instead of the table's.
     """
     heights = []
     for view, label in labelled:

@@ -84,9 +84,7 @@ def write_results(
     if not rows:
         return found, []
     others = {*(out / "trials").glob("*.h5")} - {task.out for task in tasks.values()}
-    left = (
-        f"{len(others)} other trials in {out / 'trials'} are in no table: these options name none"
-    )
+    left = f"{len(others)} trials of other options in {out / 'trials'} are not in the tables"
     seed, config = tried[0].trial.seed, tried[0].config.as_dict()
     write_trials(out / "trials.h5", rows, seed=seed, config=config)
     title = f"rgrasp trials: {out.resolve().name}"
