@@ -200,7 +200,7 @@ def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Plann
     found, good = found_for_the_can(planner)
     # A configuration that stands in the can: nothing leads there.
     inside = good.q.copy()
-    inside[1] += 0.3
+    inside[0] -= 0.1
     bad = replace(good, q=inside, objective=0.0)
     checker = PathChecker(planner.geometry, target().field)
     best, motion, rest = planner._with_motion(
@@ -258,6 +258,31 @@ def test_a_grasp_that_the_arm_cannot_lift_from_comes_last(planner: Planner) -> N
     assert best is stuck
     assert motion is not None
     assert "no room to lift" in rest.sentence
+
+
+def test_searches_for_motions_end(planner: Planner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of many grasps that cannot be reached would take seconds."""
+    found, good = found_for_the_can(planner)
+    inside = good.q.copy()
+    inside[1] += 0.3
+    asked: list[np.ndarray] = []
+
+    def counted(*given: object) -> Motion:
+        asked.append(given[3])  # type: ignore[arg-type]
+        return plan_motion(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planner_module, "plan_motion", counted)
+    several = replace(found, accepted=[replace(good, q=inside)] * 5, fallbacks=[])
+    checker = PathChecker(planner.geometry, target().field)
+    best, _, rest = planner._with_motion(checker, several, planner.robot.home, 0)
+    assert best is None
+    every = len(asked)
+    assert every > 5  # brief and thorough ones
+    monkeypatch.setattr(planner_module, "MOST_CHECKS", 0)
+    best, _, again = planner._with_motion(checker, several, planner.robot.home, 0)
+    assert best is None
+    assert len(asked) == every + 1
+    assert (again.reason, again.sentence) == (rest.reason, rest.sentence)
 
 
 def test_a_grasp_below_a_shelf_is_no_grasp_to_lift_from(planner: Planner) -> None:

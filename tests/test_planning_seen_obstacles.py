@@ -8,12 +8,14 @@ import trimesh
 from scenes import box, cloud, seen, table
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.seen_obstacles import KEPT_OFF, hulls, seen_obstacles
+from pointsdf_cli.planning.seen_parts import convex_parts, thickened, with_foot
 from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at
@@ -40,8 +42,6 @@ def test_a_hull_encloses_its_points_and_reaches_down_to_the_table() -> None:
         distance = trimesh.proximity.signed_distance(solid, things[::7])
         inside[::7] |= distance > -1e-6
     assert inside[::7].all()
-    (floating,) = hulls(block((0.6, 0.2, 0.16), 0.03), to_table=False)
-    assert floating.vertices[:, 2].min() == pytest.approx(0.13)
 
 
 def test_a_corner_of_walls_leaves_the_table_free() -> None:
@@ -50,7 +50,9 @@ def test_a_corner_of_walls_leaves_the_table_free() -> None:
     back = rng.random((40_000, 3)) * (1.0, 0.01, 0.5) + (0.2, 0.5, 0.0)
     side = rng.random((40_000, 3)) * (0.01, 1.0, 0.5) + (0.2, -0.5, 0.0)
     shelf = rng.random((40_000, 3)) * (1.0, 0.3, 0.01) + (0.2, 0.2, 0.45)
-    found = hulls(np.concatenate([back, side, shelf]))
+    room = (0.21, -0.5, 0.0), (1.2, 0.5, 0.44)
+    found = hulls(np.concatenate([back, side, shelf]), free=lambda x: strictly_inside(x, *room))
+    assert len(found) < 30  # flat walls are not divided
     free = np.array([[0.6, 0.0, 0.1], [0.6, 0.3, 0.1], [0.9, 0.4, 0.3]])
     filled = np.array([[0.65, 0.505, 0.25], [0.205, 0.05, 0.25], [0.65, 0.35, 0.455]])
     inside = np.zeros(6, dtype=bool)
@@ -61,12 +63,46 @@ def test_a_corner_of_walls_leaves_the_table_free() -> None:
     assert inside[3:].all()
 
 
+def test_parts_reach_down_to_where_a_camera_saw_through() -> None:
+    board = block((0.6, 0.2, 0.16), 0.03)
+    whole = with_foot(board, lambda x: np.zeros(len(x), dtype=bool))
+    assert whole[:, 2].min() == 0.0
+    floating = with_foot(board, lambda x: x[:, 2] < 0.08)
+    assert floating[:, 2].min() == pytest.approx(0.08, abs=0.02)
+    below = with_foot(board - (0.0, 0.0, 0.2), lambda x: np.zeros(len(x), dtype=bool))
+    assert below[:, 2].min() == pytest.approx(-0.07)  # points of an uneven table stay inside
+
+
+def test_convex_things_are_not_divided() -> None:
+    nowhere = convex_parts(block((0.6, 0.2, 0.1), 0.1), lambda x: np.zeros(len(x), dtype=bool))
+    assert len(nowhere) == 1
+    assert trimesh.convex.convex_hull(nowhere[0]).volume == pytest.approx(0.2**3, rel=1e-6)
+
+
+def test_the_hand_may_reach_below_the_board_of_a_shelf() -> None:
+    """Seen from the front, with a back wall: what the camera looked through is free."""
+    at, pose = (0.7, 0.0), look_at((-0.1, 0.2, 0.5), (0.65, 0.0, 0.15))
+    sides = [box((0.3, 0.02, 0.4), (at[0], side)) for side in (-0.4, 0.4)]
+    board, back = box((0.3, 0.82, 0.02), at), box((0.02, 0.82, 0.4), (0.86, 0.0))
+    board.apply_translation((0.0, 0.0, 0.38))
+    can = box((0.06, 0.06, 0.15), (0.62, 0.1))
+    view = cloud(seen(table(), *sides, board, back, can, pose=pose), pose)
+    top = look_at_table([view], ["view"], None, np.zeros(0))
+    for network in (None, load_model(None, "cpu")):
+        found, _ = seen_obstacles(top, network)
+        free = np.array([[0.56, 0.2, 0.3], [0.62, 0.0, 0.25], [0.65, -0.2, 0.15], [0.75, 0.3, 0.1]])
+        assert not holds(found, free).any()
+        solid = np.array([[0.7, 0.0, 0.395], [0.6, -0.3, 0.395], [0.7, 0.39, 0.2], [0.85, 0, 0.1]])
+        assert holds(found, solid).all()
+
+
 @pytest.mark.parametrize("sides", [(0.05, 0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0)])
 def test_flat_groups_are_thick_enough_for_distances(sides: tuple[float, ...]) -> None:
     """One side of a box, exactly seen, is flat; coal crashed on its hull."""
     points = np.random.default_rng(0).random((400, 3)) * sides + [0.6, 0.1, 0.1]
-    (sheet,) = hulls(points, to_table=False)
-    assert np.ptp(sheet.vertices, axis=0) == pytest.approx(np.array(sides) + 0.001, abs=0.0025)
+    thick = thickened(points)
+    assert np.ptp(thick, axis=0) == pytest.approx(np.array(sides) + 0.001, abs=0.0025)
+    (sheet,) = hulls(points * (1.0, 1.0, 0.0))
     assert sheet.hull.computeVolume() > 1e-10
     assert sheet.is_solid
 

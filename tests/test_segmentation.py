@@ -116,6 +116,19 @@ def test_flat_top_of_a_low_object_is_not_taken_for_the_table() -> None:
     assert find_table(book) is None
 
 
+def test_the_feet_of_objects_are_no_table() -> None:
+    """A black table returns nothing: what is seen near z = 0 are rings, far from each other."""
+    turn = np.linspace(0, np.pi, 150)
+    ring = np.stack([0.04 * np.cos(turn), 0.04 * np.sin(turn), np.zeros(150)], axis=1)
+    rise = ring[None] + np.arange(0, 0.08, 0.0025)[:, None, None] * (0.0, 0.0, 1.0)
+    places = [(0.5, -0.3), (0.6, 0.0), (0.7, 0.3)]
+    feet = np.concatenate([rise.reshape(-1, 3) + (*place, 0.0) for place in places])
+    assert find_table(feet) is None
+    found = segment_table(feet, np.array([0.6, -1.0, 0.8]))
+    assert found.count == 3
+    assert found.plane is None
+
+
 @pytest.mark.parametrize(
     "cloud",
     [

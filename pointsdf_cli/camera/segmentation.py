@@ -18,6 +18,11 @@ PLANE_TILT = 0.15
 """Largest tilt of the plane [rad]; poses calibrated by hand err by less."""
 PLANE_SHARE = 0.4
 """Least share of the points near z = 0 on a plane that is a table."""
+LEAST_REACH, LEAST_AREA = 0.3, 0.02
+"""Least extent [m] of a table, and least area [m²] of its largest connected region: the foot of a
+can has a tenth of it."""
+AREA_CELL, AREA_GAP = 0.01, 0.03
+"""Side of the cells [m] in which the area is counted, and gap [m] up to which they connect."""
 PLANE_BAND = 0.006
 """Points nearer to the plane than this [m] belong to the table."""
 GAP = 0.012
@@ -91,10 +96,19 @@ def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TI
     fits = np.abs(near @ normal - offset) < PLANE_BAND
     if float(fits.mean()) < share or normal[2] < np.cos(tilt):
         return None
-    # The top of a flat object can be a plane near z = 0 too, but a table reaches far.
-    if max(np.ptp(near[fits, axis]) for axis in (0, 1)) < 0.3:
+    # The top of a flat object can be a plane near z = 0 too, but a table reaches far. Where it
+    # returns nothing, since it is black or shiny, the feet of objects lie on a plane.
+    level = near[fits] * [1.0, 1.0, 0.0]
+    if np.ptp(level, axis=0).max() < LEAST_REACH or _largest_area(level) < LEAST_AREA:
         return None
     return np.array([*normal, offset])
+
+
+def _largest_area(level: Array) -> float:
+    """Area [m²] of the largest connected region of points [N, 3] of a plane z = 0."""
+    cells = np.unique(np.floor(level / AREA_CELL), axis=0)
+    _, sizes = clusters(cells * AREA_CELL, AREA_GAP)
+    return float(sizes.max()) * AREA_CELL**2
 
 
 def clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from pointsdf_cli.camera.table_objects import (
 from pointsdf_cli.errors import as_input_error
 from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
+from pointsdf_cli.geometry.free_space import FreeSpace
 from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.planning.object_choice import ListedObject, Reach, numbered
@@ -88,6 +90,14 @@ class LabelledView:
         label = np.full(len(self.voxel), UNCLEAN, dtype=np.int64)
         label[known] = self.objects.label[self.voxel[known]]
         return label
+
+    @cached_property
+    def free(self) -> FreeSpace:
+        """The places that this camera saw to be free."""
+        measured, image = self.points, self.cloud.image
+        if image is not None and len(measured):
+            measured = np.concatenate([measured, image.beyond(float(measured[:, 2].max()))])
+        return FreeSpace(measured, self.T_world_camera)
 
     def plane_in_camera(self, label: int) -> Array | None:
         """The plane [4] that an object stands on, in the camera's frame: (unit normal n that points

@@ -8,7 +8,7 @@ and the result.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from ompl import base as ob
@@ -63,6 +63,7 @@ class Motion:
         corners: [T, J], the path before it was timed; empty if there is none.
         failure: Empty, or what could not be done.
         attempts: Searches made.
+        checked: Number of configurations checked.
         lift: [K, J], the way up from the goal; None if there is none, or none was looked for.
     """
 
@@ -70,6 +71,7 @@ class Motion:
     corners: Array
     failure: str
     attempts: int
+    checked: int = 0
     lift: Array | None = None
 
 
@@ -88,7 +90,19 @@ def plan_motion(
     Raises:
         InputError: The start is not within the joint limits.
     """
-    config = config or MotionConfig()
+    begun = checker.checked
+    found = _plan_motion(checker, kinematics, start, goal, seed, config or MotionConfig())
+    return replace(found, checked=checker.checked - begun)
+
+
+def _plan_motion(
+    checker: PathChecker,
+    kinematics: InverseKinematics,
+    start: Array,
+    goal: Array,
+    seed: int,
+    config: MotionConfig,
+) -> Motion:
     robot = checker.kinematics.robot
     if not ((start >= robot.hard_lower - 1e-6) & (start <= robot.hard_upper + 1e-6)).all():
         raise InputError("the start is outside of the joint limits", where="--start")

@@ -137,15 +137,22 @@ class PathChecker:
         return np.asarray(distances - self._margin[columns])
 
     def _distances(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
-        """Distances [K] of the pairs `columns` [K] at the configurations `rows` [K]."""
-        distances = np.empty(len(rows))
-        of_object = columns < self._object_columns
-        for which, source, first in (
-            (of_object, self._object, 0),
-            (~of_object, self._bodies, self._object_columns),
-        ):
-            if which.any():
-                distances[which] = source.of(poses, rows[which], columns[which] - first)
+        """Distances [K] of the pairs `columns` [K] at the configurations `rows` [K].
+
+        Those to the object take longest. They are infinite, and not computed, where bodies are too
+        near to each other already.
+        """
+        distances = np.full(len(rows), np.inf)
+        bodies = np.flatnonzero(columns >= self._object_columns)
+        near = np.zeros(len(poses.rotation), dtype=bool)
+        if len(bodies):
+            pair = columns[bodies]
+            found = self._bodies.of(poses, rows[bodies], pair - self._object_columns)
+            distances[bodies] = found
+            near[rows[bodies][found < self._margin[pair]]] = True
+        asked = np.flatnonzero((columns < self._object_columns) & ~near[rows])
+        if len(asked):
+            distances[asked] = self._object.of(poses, rows[asked], columns[asked])
         return distances
 
     def is_free(self, path: Array) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Container, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 
 import numpy as np
@@ -53,6 +53,9 @@ much as the best after six iterations do not catch up."""
 QUICK_CHECKS = 1000
 """Configurations checked at most by a brief motion search, with the margin and without: most
 motions are found within a few hundred."""
+
+MOST_CHECKS = 50_000
+"""Configurations checked in all searches for a motion, after which no further one begins: 20 s."""
 
 BRIEFLY = 3
 """Number of candidates that get a brief motion search before any gets a thorough one."""
@@ -226,29 +229,26 @@ class Planner:
         A candidate without a lift is chosen only if no other has a motion.
         """
         best = [*found.accepted, *found.fallbacks]
-        failure = ""
-        stuck: dict[int, Motion] = {}
-        wanted = self._searches(checker, found.accepted)
-        others = self._searches(checker, found.fallbacks, first=len(found.accepted))
-        for k, asked, effort in chain(wanted, others):
-            if k in stuck:
-                continue
-            candidate = best[k]
-            motion = plan_motion(asked, self.inverse, start, candidate.q, seed, effort)
-            failure = failure or motion.failure
-            if motion.trajectory is None:
-                continue
-            lift = self._lift(checker, candidate)
-            if lift is not None:
-                return candidate, replace(motion, lift=lift), _taken(found, best, k, stuck)
-            stuck[k] = motion
-        if stuck:
-            k, motion = next(iter(stuck.items()))
-            found = _taken(found, best, k, stuck)
-            return best[k], motion, replace(found, sentence=f"{found.sentence} {STUCK}".strip())
+        lift = cache(lambda k: self._lift(checker, best[k]))
+        failure, spent = "", 0
+        for lifted in (True, False):
+            wanted = self._searches(checker, found.accepted)
+            others = self._searches(checker, found.fallbacks, first=len(found.accepted))
+            for k, asked, effort in chain(wanted, others):
+                if spent > MOST_CHECKS or (lift(k) is not None) != lifted:
+                    continue
+                motion = plan_motion(asked, self.inverse, start, best[k].q, seed, effort)
+                spent += motion.checked
+                failure = failure or motion.failure
+                if motion.trajectory is not None:
+                    stuck = {j for j in range(k) if lift(j) is None}
+                    found = _taken(found, best, k, stuck)
+                    if not lifted:
+                        found = replace(found, sentence=f"{found.sentence} {STUCK}".strip())
+                    return best[k], replace(motion, lift=lift(k)), found
         if not best:
             return None, None, found
-        unreached = _passed(best, stuck)
+        unreached = _passed(best, ())
         sentence = explain("motion", best[0], found.seeds_tried) + f" ({failure})"
         found = replace(found, best=None, accepted=[], rejected=found.rejected + unreached)
         return None, None, replace(found, reason="motion", sentence=sentence)

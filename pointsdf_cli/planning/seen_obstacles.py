@@ -1,8 +1,8 @@
 """Other objects on the table as obstacles: reconstructions, or hulls of their seen points.
 
 A hull ends where the camera's view does; a reconstruction has a back, too. Each object is completed
-from the view that shows it, with the evidence of that view. Walls and other long things, of which
-the network has learned none, are hulls of narrow columns: the hull of a corner would fill a room.
+from the view that shows it, with the evidence of that view. Walls, shelves and trays, of which the
+network has learned none, are divided into convex parts (planning/seen_parts.py).
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from pointsdf_cli.camera.raised_support import BAND
 from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.geometry.arrays import Array, Surface
-from pointsdf_cli.geometry.box import thin_directions
+from pointsdf_cli.geometry.arrays import Array, Mask, Surface
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
@@ -33,6 +32,7 @@ from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.object_choice import ListedObject
 from pointsdf_cli.planning.robot_geometry import CollisionMesh
+from pointsdf_cli.planning.seen_parts import IsFree, convex_parts, nothing_free, thickened
 from pointsdf_cli.planning.table_top import TableTop, view_of
 from pointsdf_cli.planning.target import completed
 
@@ -64,16 +64,8 @@ SMALLEST = 12
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 
-LONGEST, COLUMN = 0.6, 0.15
-"""Level extent [m] above which a thing is divided into columns, and the side of these."""
-NARROW = 0.05
-"""Side [m] of the columns of a tray or a box, which things stand on. Floor and walls are apart: the
-hull of both is a wedge."""
-STANDING = 0.1
-"""Height [m] of its lowest seen point up to which a column reaches down to the table."""
-
-LEAST_THICKNESS = 0.001
-"""Thickness [m] that flat groups of points are given."""
+LONGEST = 0.6
+"""Level extent [m] above which a thing is divided into convex parts."""
 
 Found = tuple[list[CollisionMesh], float]
 """Meshes of objects, and how long they took [s]."""
@@ -105,14 +97,17 @@ def obstacle_tasks(
     seen: TableTop, network: ShapeModel | None, seed: int = 0, cleaned: bool = True
 ) -> list[Callable[[], Found]]:
     """Tasks of `seen_obstacles`, which do not depend on each other."""
+    free = partial(_seen_free, [labelled for labelled, _ in seen.labelled])
     if network is None:
-        return [partial(timed, hulls, seen.others)]
+        return [partial(timed, partial(hulls, seen.others, free=free))]
     tasks: list[Callable[[], Found]] = []
     for labelled, target in seen.labelled:
         for item in labelled.listed:
             if item.label != target:
-                tasks.append(partial(timed, _completed, network, labelled, item, seed, cleaned))
-        tasks.append(partial(timed, hulls, labelled.world[labelled.objects.label == LOOSE]))
+                more = seed, cleaned, free
+                tasks.append(partial(timed, _completed, network, labelled, item, *more))
+        loose = labelled.world[labelled.objects.label == LOOSE]
+        tasks.append(partial(timed, partial(hulls, loose, free=free)))
     return tasks
 
 
@@ -127,17 +122,28 @@ def named_obstacles(
     return made, sum(seconds for _, seconds in found)
 
 
+def _seen_free(views: Sequence[LabelledView], places: Array) -> Mask:
+    """Mask of the places [N, 3], world, m, that any of the cameras saw to be free."""
+    return np.any([np.zeros(len(places), bool), *(v.free.holds(places) for v in views)], axis=0)
+
+
 def _completed(
-    network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
+    network: ShapeModel,
+    labelled: LabelledView,
+    item: ListedObject,
+    seed: int,
+    cleaned: bool,
+    free: IsFree,
 ) -> list[CollisionMesh]:
     stop_if_cancelled()
     points = labelled.world[labelled.objects.label == item.label]
     plane, level = labelled.objects.plane, labelled.objects.supports.get(item.label)
     if plane is not None and level is not None:
+        # The hull of floor and wall would be a wedge.
         floor = np.abs(points @ plane[:3] - plane[3] - level) < BAND
-        return [*hulls(points[floor], column=NARROW), *hulls(points[~floor], column=NARROW)]
+        return [*hulls(points[floor], 0.0, free), *hulls(points[~floor], 0.0, free)]
     if item.size[0] > LONGEST:
-        return hulls(points)
+        return hulls(points, free=free)
     view = view_of(labelled, sighting(labelled, item, cleaned, is_target=False), item.label)
     return obstacle_surfaces(network, view, seed)
 
@@ -160,7 +166,7 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Co
     if whole.vertices[:, 2].min() > ON_TABLE:
         return hulls(np.concatenate([points, whole.vertices]))
     missed = _missed(points, whole)
-    return [whole, *hulls(missed, FEWEST_MISSED, to_table=False)]
+    return [whole, *map(_hull, _groups(missed, FEWEST_MISSED))]
 
 
 def _enlarged(shape: Reconstruction) -> Surface:
@@ -198,46 +204,38 @@ def _missed(points: Array, mesh: CollisionMesh) -> Array:
 
 
 def hulls(
-    points: Array, fewest: int = SMALLEST, to_table: bool = True, column: float | None = None
+    points: Array, longest: float = LONGEST, free: IsFree = nothing_free, fewest: int = SMALLEST
 ) -> list[CollisionMesh]:
-    """The convex hull of each cluster of points; of a long one, those of its columns.
+    """The convex hull of each cluster of points, down to the table; the convex parts of a long one.
 
     Args:
         points: [N, 3], world, m; what one camera saw, or several.
+        longest: Level extent [m] from which a cluster is divided.
+        free: Places that were seen to be free.
         fewest: Clusters of fewer points are noise.
-        to_table: Whether the hulls reach down to the table; of a long cluster, those of columns
-            that begin near it.
-        column: Side [m] of the columns into which every cluster is divided, all of them down to
-            the table; None divides long ones only.
     """
     found: list[CollisionMesh] = []
-    if not len(points):
-        return found
-    label, counts = clusters(points, GAP)
-    for k in np.flatnonzero(counts >= fewest):
-        cluster = points[label == k]
-        if column is None and _level_extent(cluster) <= LONGEST:
-            found.append(_hull(cluster, to_table))
-            continue
-        cell = np.floor(cluster[:, :2] / (column or COLUMN)).astype(np.int64)
-        _, own = np.unique(cell, axis=0, return_inverse=True)
-        for j in range(own.max() + 1):
-            part = cluster[own.ravel() == j]
-            stands = column is not None or part[:, 2].min() < STANDING
-            found.append(_hull(part, to_table and stands))
+    for cluster in _groups(points, fewest):
+        if _level_extent(cluster) <= longest:
+            found.append(_hull(np.concatenate([cluster, cluster * [1.0, 1.0, 0.0]])))
+        else:
+            found += [_hull(corners) for corners in convex_parts(cluster, free)]
     return found
 
 
-def _hull(points: Array, to_table: bool) -> CollisionMesh:
-    """The convex hull of points [N, 3], and of their feet on the table."""
+def _groups(points: Array, fewest: int) -> list[Array]:
+    """Clusters [K, 3] of points [N, 3] with `fewest` points or more."""
+    if not len(points):
+        return []
+    label, counts = clusters(points, GAP)
+    return [points[label == k] for k in np.flatnonzero(counts >= fewest)]
+
+
+def _hull(corners: Array) -> CollisionMesh:
+    """The convex hull of corners [N, 3]."""
     import trimesh  # a quarter of a second, which a scene of whole objects does without
 
-    corners = np.concatenate([points, points * [1.0, 1.0, 0.0]]) if to_table else points
-    # A plane side of a box may be all that is seen of a part; coal crashes on flat hulls.
-    for across in thin_directions(corners, LEAST_THICKNESS):
-        shift = LEAST_THICKNESS / 2 * across
-        corners = np.concatenate([corners - shift, corners + shift])
-    hull = trimesh.convex.convex_hull(corners)
+    hull = trimesh.convex.convex_hull(thickened(corners))
     vertices, faces = np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32)
     return CollisionMesh.of(vertices, faces)
 
