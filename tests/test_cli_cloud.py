@@ -237,7 +237,7 @@ def test_a_wrong_scale_or_colour_image_is_told(folder: Path, cli: Callable) -> N
     base = ("cloud", folder / "depth.png", "--intrinsics", folder / "K.json", "--out")
     far = cli(*base, folder / "o.ply", "--depth-scale", 1)
     assert far.code == 2
-    assert "--depth-scale" in far.err
+    assert "--depth-scale 0.001 (" in far.err
     Image.new("RGB", (4, 4)).save(folder / "rgb.png")
     other = cli(*base, folder / "o.ply", "--color", folder / "rgb.png")
     assert other.code == 2

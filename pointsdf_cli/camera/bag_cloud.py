@@ -106,7 +106,7 @@ def cloud_of_bag(
             f"median of {options.frames} images in {lasted:.2f} s: readings scattered by "
             f"{1000 * spread:.2g} mm from image to image; steady errors stay"
         )
-    cloud = cloud_of_depth(depth, camera, pose, None, nearest, farthest)
+    cloud = cloud_of_depth(depth, camera, pose, None, nearest, farthest, scale)
     return cloud, frames, said
 
 

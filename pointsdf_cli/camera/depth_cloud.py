@@ -21,6 +21,7 @@ def cloud_of_depth(
     colours: NDArray[np.uint8] | None = None,
     nearest: float = 0.05,
     farthest: float = 5.0,
+    scale: float | None = None,
 ) -> Cloud:
     """Back-project every pixel with a valid depth; camera frame.
 
@@ -30,6 +31,7 @@ def cloud_of_depth(
         T_world_camera: [4, 4], stored with the cloud; None if it is not known.
         colours: [height, width, 3], registered to the depth image; None for none.
         nearest, farthest: Range of valid depths [m].
+        scale: Metres per unit of the image's file, for messages; None if it is not known.
 
     Raises:
         InputError: The sizes differ, the limits are in the wrong order, or no pixel has a depth
@@ -51,7 +53,7 @@ def cloud_of_depth(
         )
     v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
     if not len(v):
-        raise _nothing_seen(depth, nearest, farthest)
+        raise _nothing_seen(depth, nearest, farthest, scale)
     return Cloud(
         points=camera.back_project(u, v, depth[v, u]),
         colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
@@ -63,7 +65,9 @@ def cloud_of_depth(
     )
 
 
-def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -> InputError:
+def _nothing_seen(
+    depth: NDArray[np.float64], nearest: float, farthest: float, scale: float | None
+) -> InputError:
     """Error for an image [height, width] without any depth from `nearest` to `farthest` [m]."""
     seen = depth[depth > 0]
     if not len(seen):
@@ -76,7 +80,7 @@ def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -
     return InputError(
         f"no depth between {nearest:g} and {farthest:g} m (there is {found})",
         allowed="depths of a table-top scene",
-        hint=_scale_hint(seen, nearest, farthest),
+        hint=_scale_hint(seen, nearest, farthest, scale),
     )
 
 
@@ -85,19 +89,21 @@ FACTORS = (0.1, 0.2, 0.25, 10.0, 0.001, 1000.0)
 (ToF), 1 cm; and millimetres taken for metres, or the reverse."""
 
 
-def _scale_hint(seen: NDArray[np.float64], nearest: float, farthest: float) -> str:
+def _scale_hint(
+    seen: NDArray[np.float64], nearest: float, farthest: float, scale: float | None
+) -> str:
     """Hint about --depth-scale for measured depths [N] out of range, m."""
     ranges = {factor: (factor * seen.min(), factor * seen.max()) for factor in FACTORS}
-    fits = {f: r for f, r in ranges.items() if nearest <= r[0] and r[1] <= farthest}
+    fits = {
+        factor * scale: (low, high)
+        for factor, (low, high) in ranges.items()
+        if scale is not None and nearest <= low and high <= farthest
+    }
     if not fits:
         return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
-    named = " or ".join(f"{f:g} ({low:.2g} to {high:.2g} m)" for f, (low, high) in fits.items())
-    first = next(iter(fits))
-    return (
-        f"multiply --depth-scale by {named}; without the option, {first:g} is --depth-scale "
-        f"{0.001 * first:g} for whole numbers, {first:g} for floats"
-        + ("; a scene truly that far: rgrasp cloud --far" if seen.min() > farthest else "")
-    )
+    named = (f"--depth-scale {f:g} ({low:.2g} to {high:.2g} m)" for f, (low, high) in fits.items())
+    far = "; a scene truly that far: rgrasp cloud --far" if seen.min() > farthest else ""
+    return " or ".join(named) + far
 
 
 def _off_centre(camera: Camera) -> tuple[str, ...]:

@@ -33,9 +33,9 @@ from pointsdf_cli.io.poses import FARTHEST as FARTHEST_CAMERA
 from pointsdf_cli.io.raw_cloud import finite_points, frame_of_header, pose_of_header, unit_normals
 
 FEWEST_POINTS = 50
-FARTHEST = 20.0
-"""Largest distance [m] of a cloud from its origin: a camera sees some metres far, and coordinates
-in the hundreds are another unit."""
+FARTHEST, ANOTHER_UNIT = 20.0, 100.0
+"""Largest distance [m] of a cloud from its origin, as a camera sees some metres far, and the one
+beyond which coordinates are of another unit."""
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a partial view of something that a hand may grasp."""
 
@@ -273,8 +273,7 @@ def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
         raise InputError("all points are the same point", where=where)
     if not SMALLEST <= size <= LARGEST:
         raise _size_error(points, size, where)
-    away = float(np.abs(np.median(points, axis=0)).max())
-    require_near(away, FARTHEST, "the points lie", where, "check the cloud's unit and origin")
+    _require_nearby(points, where)
     spread = np.linalg.svd(np.cov(points.T), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise InputError("all points lie on one line", where=where)
@@ -291,13 +290,27 @@ def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
     _require_points(points, "anything", "", where)
     size = float(np.ptp(points, axis=0).max())
     # A camera's view of a room reaches metres far, its errors some more; another unit, thousands.
-    if size < SMALLEST or np.abs(np.median(points, axis=0)).max() > FARTHEST:
+    if size < SMALLEST or _away(points) > FARTHEST:
         if cloud.image is not None:
             what = f"the depth image's points are {size:.3g} m across"
             hint = "check --depth-scale, and focal lengths and principal point, in pixels"
             raise InputError(what, where=where, allowed="a camera's view of a table", hint=hint)
-        raise _size_error(points, size, where)
+        if size < SMALLEST or size > FARTHEST or _away(points) > ANOTHER_UNIT:
+            raise _size_error(points, size, where)
+        _require_nearby(points, where)
     return cloud
+
+
+def _away(points: NDArray[np.float64]) -> float:
+    """Distance [m] of points [N, 3] from the origin, along the axis where it is largest."""
+    return float(np.abs(np.median(points, axis=0)).max())
+
+
+def _require_nearby(points: NDArray[np.float64], where: Any) -> None:
+    """Refuse points [N, 3], most of which lie far from the origin."""
+    require_near(
+        _away(points), FARTHEST, "the points lie", where, "check the cloud's unit and origin"
+    )
 
 
 def _require_points(points: NDArray[np.float64], seen: str, of: str, where: Any) -> None:
@@ -311,8 +324,7 @@ def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputEr
     if size < SMALLEST:
         what = f"{size * 1000:.2g} mm across, too small for a graspable object"
         hint = "check the unit (--unit m, cm, mm, inch)"
-    # A camera sees some metres far: coordinates in the hundreds are another unit.
-    elif np.abs(np.median(points, axis=0)).max() > FARTHEST or size > FARTHEST:
+    elif _away(points) > ANOTHER_UNIT or size > FARTHEST:
         what, hint = f"{size:.4g} m across: these look like millimetres", "add --unit mm"
     else:
         what = f"{size:.2g} m across: a whole scene, not one object"

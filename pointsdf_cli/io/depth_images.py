@@ -33,7 +33,16 @@ def check_scale(scale: float | None) -> None:
 
 
 def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float64]:
-    """A depth image f8 [height, width] in m along z; 0 where the camera saw nothing.
+    """A depth image f8 [height, width] in m along z; 0 where the camera saw nothing. Arguments and
+    errors: `read_scaled_depth`."""
+    return read_scaled_depth(path, scale)[0]
+
+
+def read_scaled_depth(
+    path: Path | str, scale: float | None = None
+) -> tuple[NDArray[np.float64], float]:
+    """A depth image f8 [height, width] in m along z, 0 where the camera saw nothing, and the scale
+    that was taken.
 
     Args:
         path: 16-bit (or 32-bit float) PNG, TIFF or PGM, or an NPY array.
@@ -57,8 +66,9 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
             where=path,
             allowed="16-bit whole numbers or floats, as the camera measured them",
         )
-    whole = values.dtype.kind in "ui"
-    depth = values.astype(np.float64) * (scale if scale is not None else 0.001 if whole else 1.0)
+    if scale is None:
+        scale = 0.001 if values.dtype.kind in "ui" else 1.0
+    depth = values.astype(np.float64) * scale
     if not (depth > 0).any() and (depth < 0).any():
         raise InputError(
             "has negative depths only",
@@ -66,7 +76,7 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
             allowed="positive depths along z, as of a camera that looks along +z",
             hint="negate them: OpenGL's cameras look along −z",
         )
-    return np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0.0), scale
 
 
 def read_colour(path: Path | str) -> NDArray[np.uint8]:

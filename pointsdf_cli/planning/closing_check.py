@@ -24,7 +24,7 @@ from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import RobotDescription
 
 STEPS = 20
-"""Steps from the preshape to the end of the slowest joint: a fingertip moves about 5 mm in each."""
+"""Steps from the preshape to the end of the slowest joint: a fingertip moves about 2 cm in each."""
 CONTACT = 0.0005
 """Distance to the object [m] at which a link counts as touching it."""
 
