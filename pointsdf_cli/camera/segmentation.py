@@ -18,10 +18,10 @@ PLANE_TILT = 0.15
 """Largest tilt of the plane [rad]; poses calibrated by hand err by less."""
 PLANE_SHARE = 0.4
 """Least share of the points near z = 0 on a plane that is a table."""
-LEAST_REACH, LEAST_AREA = 0.3, 0.02
+LEAST_REACH, LEAST_AREA = 0.3, 0.03
 """Least extent [m] of a table, and least area [m²] of its largest connected region: the foot of a
-can has a tenth of it."""
-AREA_CELL, AREA_GAP = 0.01, 0.03
+can has a tenth of that."""
+AREA_CELL, AREA_GAP = 0.01, 0.05
 """Side of the cells [m] in which the area is counted, and gap [m] up to which they connect."""
 PLANE_BAND = 0.006
 """Points nearer to the plane than this [m] belong to the table."""
