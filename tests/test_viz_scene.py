@@ -17,6 +17,7 @@ import trimesh
 from plan_files import turning_plan_file
 from trial_rows import ROW
 
+from pointsdf_cli.assets import bundled_robots
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
 from pointsdf_cli.io.clouds import Cloud, frame_comments, write_cloud
@@ -277,16 +278,22 @@ def test_a_plan_of_another_robot_is_refused(tmp_path: Path) -> None:
     assert scene_of(path, SceneOptions(gripper)).frames == 11
 
 
-def test_a_plan_of_a_bundled_robot_names_the_option_that_shows_it(tmp_path: Path) -> None:
-    panda = load_robot("panda")
-    path = turning_plan_file(tmp_path, panda)
-    with pytest.raises(InputError) as refused:
-        scene_of(path, OPTIONS)
-    assert refused.value.hint == "add --robot panda"
-    path = turning_plan_file(tmp_path, ROBOT)
-    with pytest.raises(InputError) as refused:
-        scene_of(path, SceneOptions(panda))
-    assert refused.value.hint == "leave --robot out"
+@pytest.mark.parametrize("name", bundled_robots())
+def test_a_plan_of_a_bundled_robot_needs_no_option(name: str, tmp_path: Path) -> None:
+    path = turning_plan_file(tmp_path, load_robot(name))
+    assert scene_of(path, SceneOptions()).frames == 11
+    other = "panda" if name != "panda" else "lbr4_allegro"
+    with pytest.raises(InputError, match="--robot"):
+        scene_of(path, SceneOptions(load_robot(other)))
+
+
+def test_the_robot_of_a_trial_is_known_by_its_number_of_joints() -> None:
+    for name in bundled_robots():
+        robot = load_robot(name)
+        found = SceneOptions().robot_with(Path("t.h5"), len(robot.joint_names))
+        assert found.joint_names == robot.joint_names
+    with pytest.raises(InputError, match="3 joints"):
+        SceneOptions().robot_with(Path("t.h5"), 3)
 
 
 def test_bounds_leave_out_table_and_what_is_not_there() -> None:

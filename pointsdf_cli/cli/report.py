@@ -154,10 +154,10 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
         from pointsdf_cli.io.plans import read_plan
         from pointsdf_cli.robot.description import load_robot
         from pointsdf_cli.viz.plan_report import plan_report
-        from pointsdf_cli.viz.scene_sources import require_joints
+        from pointsdf_cli.viz.scene_sources import SceneOptions
 
-        plan, described = read_plan(path), load_robot(robot)
-        require_joints(path, plan.joint_names, described)
+        plan, given = read_plan(path), None if robot is None else load_robot(robot)
+        described = SceneOptions(given).robot_of(path, plan.joint_names)
         return plan_report(plan, described, title)
     if kind == "trials":
         from pointsdf_cli.io.trials import read_trials

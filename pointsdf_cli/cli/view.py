@@ -67,7 +67,8 @@ def view(
     for path in artifacts:
         kind_of(path)
     require_present(meshes)
-    options = SceneOptions(load_robot(robot), meshes, most, unit)
+    given = None if robot is None else load_robot(robot)
+    options = SceneOptions(given, meshes, most, unit)
     if export:
         if port or host:
             raise InputError("--port or --host with --export", hint="a page needs no server")

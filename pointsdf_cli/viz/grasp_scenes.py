@@ -15,7 +15,7 @@ from pointsdf_cli.io.plans import OK, read_plan
 from pointsdf_cli.io.trials import read_trial
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
 from pointsdf_cli.viz.scene import Part, Scene, axes, by_height
-from pointsdf_cli.viz.scene_sources import SceneOptions, named_mesh, require_joints, spread
+from pointsdf_cli.viz.scene_sources import SceneOptions, named_mesh, spread
 
 OBJECT_COLOUR = (0.25, 0.60, 0.35)
 OTHER_COLOUR = (0.60, 0.55, 0.50)
@@ -24,11 +24,11 @@ OTHER_COLOUR = (0.60, 0.55, 0.50)
 def grasps_scene(path: Path, options: SceneOptions) -> Scene:
     """Attempts with one object, one a frame: the cloud, the hand before it closes, the object."""
     grasps, meta = read_grasps(path)
-    require_joints(path, meta.joint_names, options.robot)
+    shown = options.robot_of(path, meta.joint_names)
     chosen = spread(len(grasps), options.most)
     if not len(chosen):
         raise InputError("holds no attempt", where=path)
-    robot = MovingRobot(options.robot)
+    robot = MovingRobot(shown)
     thing, palm = len(robot.bodies), len(robot.bodies) + 1
     parts = [*robot.parts, table_part(), axes("palm", "palm", 0.08, palm)]
     for part in named_mesh(path, options):
@@ -52,8 +52,8 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
     """Scene of the motion to the grasp and the completed object; without a motion, the robot at
     home and the reason."""
     plan = read_plan(path)
-    require_joints(path, plan.joint_names, options.robot)
-    robot = MovingRobot(options.robot)
+    shown = options.robot_of(path, plan.joint_names)
+    robot = MovingRobot(shown)
     parts = [*robot.parts, axes("world", "axes", 0.1)]
     # Infinite for all links of a plan that was told of no table.
     if not np.isposinf(plan.link_clearance_table).all():
@@ -67,7 +67,7 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
         captions = tuple(f"{plan.times[k]:.2f} s" for k in chosen)
         rate = min(len(chosen) / max(float(plan.times[-1]), 0.1), 60.0)
     else:
-        q, captions, rate = options.robot.home[None], ("at home",), 4.0
+        q, captions, rate = shown.home[None], ("at home",), 4.0
     poses = robot.poses(q)
     bodies = robot.bodies
     if np.isfinite(plan.T_world_palm).all():
@@ -93,9 +93,7 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
     their first poses.
     """
     row, evidence = read_trial(path)
-    robot = MovingRobot(options.robot)
-    if evidence.q.shape[1] != len(options.robot.joint_names):
-        raise InputError("is of another robot", where=path, hint="give it by --robot")
+    robot = MovingRobot(options.robot_with(path, evidence.q.shape[1]))
     thing = len(robot.bodies)
     points = np.asarray(evidence.cloud, np.float32)
     # The reconstruction is stored at the object's first pose; it moves with the object.

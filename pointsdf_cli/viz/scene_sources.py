@@ -27,13 +27,13 @@ class SceneOptions:
     """Facts that artifacts do not contain.
 
     Attributes:
-        robot: The robot of plans and grasps.
+        robot: The robot of plans and grasps; None for the bundled one that has their joints.
         meshes: Folder with the artifacts' meshes, identified by their hash.
         most: Largest number of frames of views and grasps, spread evenly over all.
         unit: Unit of clouds and meshes.
     """
 
-    robot: RobotDescription
+    robot: RobotDescription | None = None
     meshes: Path | None = None
     most: int = 200
     unit: str = "m"
@@ -42,7 +42,36 @@ class SceneOptions:
         if not 1 <= self.most <= 5000:
             raise InputError(f"{self.most} frames", where="--most", allowed="1 to 5000")
 
+    def robot_of(self, path: Path, names: Sequence[str]) -> RobotDescription:
+        """The robot of an artifact with joints of these names.
 
+        Raises:
+            InputError: The given robot, or all bundled ones, have others.
+        """
+        for robot in self._robots():
+            if robot.joint_names == tuple(names):
+                return robot
+        what = f"is of a robot with the joints {_listed(names)}"
+        if self.robot is not None:
+            what += f", and {self.robot.name} has {_listed(self.robot.joint_names)}"
+        raise InputError(what, where=path, hint=WHICH)
+
+    def robot_with(self, path: Path, joints: int) -> RobotDescription:
+        """The robot of an artifact that holds no names: the first with so many joints.
+
+        Raises:
+            InputError: None has so many.
+        """
+        for robot in self._robots():
+            if len(robot.joint_names) == joints:
+                return robot
+        raise InputError(f"is of a robot with {joints} joints", where=path, hint=WHICH)
+
+    def _robots(self) -> list[RobotDescription]:
+        return [*map(load_robot, bundled_robots())] if self.robot is None else [self.robot]
+
+
+WHICH = "give the robot that it was made for by --robot"
 ARTIFACTS = ("views", "labels", "grasps", "plan", "trial")
 """Schemas of artifacts that have a scene."""
 
@@ -75,24 +104,8 @@ def kind_of(path: Path) -> str:
     raise InputError(what, where=path, allowed=", ".join(known))
 
 
-def require_joints(path: Path, names: Sequence[str], robot: RobotDescription) -> None:
-    if tuple(names) != robot.joint_names:
-        raise InputError(
-            f"is of a robot with the joints {', '.join(names[:3])}, … ({len(names)}), and "
-            f"{robot.name} has {', '.join(robot.joint_names[:3])}, … ({len(robot.joint_names)})",
-            where=path,
-            hint=_option_of(names),
-        )
-
-
-def _option_of(names: Sequence[str]) -> str:
-    """Advice that names the option for the robot with these joints."""
-    if tuple(names) == load_robot().joint_names:
-        return "leave --robot out"
-    for robot in bundled_robots():
-        if tuple(names) == load_robot(robot).joint_names:
-            return f"add --robot {robot}"
-    return "give the robot that it was made for by --robot"
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:3])}, … ({len(names)})"
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
