@@ -94,6 +94,13 @@ Robot = Annotated[
         callback=bundled_robot,
     ),
 ]
+RobotOfFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="Robot YAML, if it is none of the bundled ones.  [default: by the joints in the file]",
+        callback=bundled_robot,
+    ),
+]
 RobotInScene = Annotated[
     Path | None,
     typer.Option(

@@ -42,7 +42,7 @@ def report(
         typer.Option(help="Folder of the meshes of views and labels, if they have moved."),
     ] = None,
     unit: common.Unit = "m",
-    robot: common.Robot = None,
+    robot: common.RobotOfFile = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     as_json: common.Json = False,

@@ -24,7 +24,7 @@ def view(
         Path | None,
         typer.Option(metavar="PAGE.html", help="Write one HTML file instead of serving."),
     ] = None,
-    robot: common.Robot = None,
+    robot: common.RobotOfFile = None,
     meshes: Annotated[
         Path | None,
         typer.Option(
