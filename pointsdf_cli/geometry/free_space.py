@@ -19,7 +19,7 @@ class FreeSpace:
     """Places that one camera saw to be free.
 
     Args:
-        points: [M, 3], M ≥ 1, what it measured, camera frame, m.
+        points: [M, 3], what it measured, camera frame, m.
         T_world_camera: [4, 4].
     """
 
