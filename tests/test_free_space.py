@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointsdf_cli.geometry.free_space import FreeSpace
 from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.free_space import FreeSpace
 
 
 def wall(depth: float) -> np.ndarray:
