@@ -26,6 +26,7 @@ from pointsdf_cli.planning.object_choice import (
     numbered,
     reach_of,
 )
+from pointsdf_cli.planning.take_order import take_order
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at
 from tests import scenes
@@ -147,6 +148,19 @@ def test_what_the_robot_reaches_is_meant() -> None:
     assert middle.centre[0] == pytest.approx(1.15, abs=0.02)
     arm = label_view(view, "a", WORKSPACE, reach=Reach(np.zeros(2), 0.3, 0.75)).listed[0]
     assert arm.centre[0] == pytest.approx(0.6, abs=0.02)
+
+
+def test_what_fits_the_jaws_is_meant() -> None:
+    wide, narrow = scenes.can(0.05, 0.12, (0.6, 0.0)), scenes.can(0.03, 0.12, (0.6, 0.16))
+    view = scenes.cloud(scenes.seen(scenes.table(), wide, narrow))
+    for name, side in (("lbr4_allegro", 0.0), ("panda", 0.16), ("lbr4_barrett", 0.0)):
+        reach = reach_of(load_robot(name))
+        scene = label_view(view, "a", WORKSPACE, reach=reach)
+        assert scene.listed[0].centre[1] == pytest.approx(side, abs=0.02), name
+        order = take_order(scene, reach)
+        assert [one.fits for one in order] == [True, name != "panda"]
+    assert reach_of(load_robot("panda")).opening == pytest.approx(0.074, abs=1e-6)
+    assert order[0].item.centre[1] == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_bowl_is_one_thing_with_its_floor() -> None:

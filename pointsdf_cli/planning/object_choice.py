@@ -24,8 +24,9 @@ SIZE_POWER = 0.25
 """Exponent of an object's seen surface in its rank: size decides only between objects about equally
 near to the middle of the image."""
 
-SMALLEST_THING, LARGEST_THING = 0.015, 0.35
-"""Smallest and largest size [m] of an object worth grasping."""
+SMALLEST_THING, LARGEST_THING, MISFIT = 0.015, 0.35, 0.3
+"""Smallest and largest size [m] of an object worth grasping, and the merit of others, and of those
+too wide for the robot's jaws."""
 
 
 class NoObjectError(RgraspError):
@@ -108,16 +109,22 @@ class ListedObject:
 
 
 class Reach(NamedTuple):
-    """Part of the table that a robot's palm reaches.
+    """Part of the table that a robot's palm reaches, and what fits its hand.
 
     Attributes:
         base: [2], place of the robot's base, world, m.
         near, far: Level distances from it between which the palm gets near the table [m].
+        opening: Width of what fits between the jaws [m]; infinite for a hand without.
     """
 
     base: Array
     near: float
     far: float
+    opening: float = np.inf
+
+    def fits(self, size: Array) -> bool:
+        """Whether the jaws fit around the shortest side of an object of sides [3], m."""
+        return float(size.min()) < self.opening
 
     def beyond(self, place: Array) -> float:
         """Level distance [m] of a place [2 or 3] of the world from the reach; 0 within it."""
@@ -128,6 +135,7 @@ class Reach(NamedTuple):
 @functools.lru_cache(maxsize=8)
 def reach_of(robot: RobotDescription) -> Reach:
     """The reach of a robot, from random configurations of its arm."""
+    from pointsdf_cli.robot.jaws import jaws_of
     from pointsdf_cli.robot.kinematics import Kinematics
 
     kinematics = Kinematics(robot)
@@ -141,7 +149,9 @@ def reach_of(robot: RobotDescription) -> Reach:
         near = palm
     base = robot.T_world_base[:2, 3]
     level = np.linalg.norm(near[:, :2] - base, axis=1)
-    return Reach(base, float(np.percentile(level, 20)), float(np.percentile(level, 90)))
+    jaws = jaws_of(robot)
+    opening = np.inf if jaws is None else jaws.room
+    return Reach(base, float(np.percentile(level, 20)), float(np.percentile(level, 90)), opening)
 
 
 def numbered(
@@ -153,8 +163,8 @@ def numbered(
 ) -> list[ListedObject]:
     """Number the objects, best to grasp first.
 
-    An object near the middle of the image, within the robot's reach and of a graspable size comes
-    first: people point a camera at the object they mean.
+    An object near the middle of the image, within the robot's reach and of a size that its hand
+    grasps comes first: people point a camera at the object they mean.
 
     Args:
         points: [N, 3], world, m, one a voxel.
@@ -286,9 +296,8 @@ def _sides(points: Array, table: Array | None) -> Array:
 def _merit(item: ListedObject, reach: Reach | None) -> float:
     """Merit of an object as a target: 1 is the best."""
     centred = float(np.exp(-((np.linalg.norm(item.image) / 0.6) ** 2)))
-    near = 1.0
+    near, fits = 1.0, SMALLEST_THING < float(item.size.max()) < LARGEST_THING
     if reach is not None:
         near = float(np.exp(-((reach.beyond(item.centre) / 0.12) ** 2)))
-    longest = float(item.size.max())
-    fits = 1.0 if SMALLEST_THING < longest < LARGEST_THING else 0.3
-    return centred * near * fits
+        fits = fits and reach.fits(item.size)
+    return centred * near * (1.0 if fits else MISFIT)

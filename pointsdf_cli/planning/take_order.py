@@ -28,15 +28,18 @@ class OrderedObject(NamedTuple):
         item: The object.
         free: Share of the horizontal directions around it without a near neighbour.
         reached: Whether the robot's palm can get near the table there.
+        fits: Whether it is narrow enough for the robot's jaws.
     """
 
     item: ListedObject
     free: float
     reached: bool
+    fits: bool = True
 
     def describe(self) -> str:
         """Describe the reason for its place in the order."""
         where = "in reach" if self.reached else "at the edge of the reach"
+        where += "" if self.fits else ", wide for the jaws"
         return f"object {self.item.number} ({where}, {self.free:.0%} of the directions free)"
 
 
@@ -52,9 +55,10 @@ def take_order(view: LabelledView, reach: Reach | None = None) -> list[OrderedOb
     for item in (each for each in view.listed if each.stands):
         mine = label == item.label
         free = free_share(view.world[mine], view.world[(label >= 0) & ~mine])
-        ordered.append(OrderedObject(item, free, reach is None or reach.beyond(item.centre) == 0))
+        reached = reach is None or reach.beyond(item.centre) == 0
+        ordered.append(OrderedObject(item, free, reached, reach is None or reach.fits(item.size)))
     # Objects that are about equally free keep the order of their numbers.
-    ordered.sort(key=lambda one: (not one.reached, -round(one.free / EQUALLY_FREE)))
+    ordered.sort(key=lambda one: (not one.reached, not one.fits, -round(one.free / EQUALLY_FREE)))
     return ordered
 
 
