@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.rim import joined_at_rims
 from pointsdf_cli.geometry.arrays import Array
 
 RADIUS = 0.012
@@ -67,6 +68,8 @@ def standing_parts(
     label = smooth_label[nearest]
     sizes = np.bincount(label)
     large = np.flatnonzero(sizes >= max(60.0, SHARE * len(points)))
+    label = joined_at_rims(points, label, large, camera)
+    large = np.intersect1d(large, label)
     if len(large) < 2:
         return whole, frozenset()
     standing = [one for one in large if _stands(points[label == one], height[label == one])]

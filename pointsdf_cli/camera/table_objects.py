@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.concave_split import standing_parts
 from pointsdf_cli.camera.hollow import whole_bowls
 from pointsdf_cli.camera.raised_support import RaisedSupport, raised_support
+from pointsdf_cli.camera.rim import joined_at_rims
 from pointsdf_cli.camera.segmentation import (
     FEWEST,
     GAP,
@@ -110,6 +111,7 @@ def segment_table(
     bowls: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if plane is not None:
         own, floor = whole_bowls(points[index], own, points[low], camera)
+        own = joined_at_rims(points[index], own, np.flatnonzero(np.bincount(own) >= FEWEST), camera)
         # From here on, floors take part in the grouping.
         is_floor = floor >= 0
         bowls = np.unique(floor[is_floor])
