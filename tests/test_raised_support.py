@@ -68,7 +68,7 @@ def test_a_sheet_that_stands_on_a_tray_is_a_thing() -> None:
     side = np.stack(np.meshgrid(np.arange(0.1, 0.2, 0.0025), np.arange(0.02, 0.1, 0.0025)), -1)
     sheet = np.insert(side.reshape(-1, 2), 1, 0.15, axis=1)
     points = np.concatenate([tray, sheet])
-    found = raised_support(points, points[:, 2])
+    found = raised_support(points, points[:, 2], np.array([1.2, 0.1, 0.9]))
     assert found is not None
     assert found.height == pytest.approx(0.02)
     above = points[:, 2] > 0.02 + BAND
@@ -124,3 +124,21 @@ def test_the_hand_may_reach_into_a_bin() -> None:
     for one in obstacles:
         inside |= SignedDistance(one.vertices, one.faces)([*free, *solid]) < 0.001
     assert inside.tolist() == [False] * 3 + [True] * 3
+
+
+def test_a_frame_around_things_is_its_seen_parts() -> None:
+    """Without a floor of its own it has no level surface; a bottle stands 5 mm from its wall."""
+    can, bottle = scenes.can(0.033, 0.12, (0.52, -0.04)), scenes.can(0.035, 0.19, (0.68, 0.105))
+    depth = scenes.seen(scenes.table(), *bin_walls()[1:], can, bottle, pose=ABOVE)
+    top = look_at_table([scenes.cloud(depth, ABOVE)], ["a"], None, np.zeros(0))
+    ((view, _),) = top.labelled
+    assert len(view.listed) == 3
+    places = {tuple(np.round(one.centre[:2], 1)) for one in view.listed}
+    assert {(0.5, 0.0), (0.7, 0.1)} < places
+    obstacles, _ = seen_obstacles(top, load_model(asset_path("weights/pointsdf_plan")))
+    free = np.array([[0.6, 0.0, 0.06], [0.52, 0.05, 0.06], [0.6, -0.1, 0.05]])
+    solid = np.array([[0.6, -0.148, 0.06], [0.402, 0.03, 0.06]])
+    inside = np.zeros(5, dtype=bool)
+    for one in obstacles:
+        inside |= SignedDistance(one.vertices, one.faces)([*free, *solid]) < 0.001
+    assert inside.tolist() == [False] * 3 + [True] * 2

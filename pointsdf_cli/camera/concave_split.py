@@ -20,8 +20,9 @@ BORDER = 0.004
 gaps in the edge."""
 GAP = 0.0045
 """Largest gap between points of one part [m]."""
-SHARE = 0.12
-"""Least share of the points in a part."""
+SHARE, ENOUGH = 0.12, 1000
+"""Least share of the points in a part; and the number of points that are enough, as of a bottle at
+the wall of a large box."""
 FOOT = 0.025
 """Largest height of the lowest point of a part that stands by itself [m]."""
 RISE = 0.03
@@ -67,7 +68,7 @@ def standing_parts(
     _, nearest = scipy.spatial.cKDTree(points[smooth]).query(points)
     label = smooth_label[nearest]
     sizes = np.bincount(label)
-    large = np.flatnonzero(sizes >= max(60.0, SHARE * len(points)))
+    large = np.flatnonzero(sizes >= np.clip(SHARE * len(points), 60, ENOUGH))
     label = joined_at_rims(points, label, large, camera)
     large = np.intersect1d(large, label)
     if len(large) < 2:

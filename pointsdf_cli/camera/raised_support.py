@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.concave_split import standing_parts
 from pointsdf_cli.camera.segmentation import FEWEST, GAP, clusters
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import horizontal_width
@@ -28,8 +29,9 @@ LOWEST = 0.015
 """Least height of a thing above it [m]."""
 AROUND = 0.04
 """Distance [m] from a thing within which the surface is looked for around it."""
-SURROUNDED = 200.0
-"""Least angle [deg] about the thing in which the surface is seen; beside a wall it is 180°."""
+SURROUNDED, AT_WALL = 200.0, 90.0
+"""Least angle [deg] about a thing in which the surface is seen; beside a wall it is 180°. And that
+about a part of a wall's group that stands by itself: of a thing in a corner."""
 UNDER = 0.15
 """Largest share of the surface's points below a thing's convex hull; a rim encloses most."""
 
@@ -57,13 +59,14 @@ class RaisedSupport(NamedTuple):
         return bool(over > OVER and np.median(height) > self.height)
 
 
-def raised_support(points: Array, height: Array) -> RaisedSupport | None:
+def raised_support(points: Array, height: Array, camera: Array) -> RaisedSupport | None:
     """Divide a group of points into a support and the things on it; None without a wide level
     surface.
 
     Args:
         points: [N, 3], world, m, one a voxel.
         height: [N], heights above the table, m.
+        camera: [3], position of the camera, m.
     """
     if horizontal_width(points) < NARROWEST:
         return None
@@ -85,18 +88,34 @@ def raised_support(points: Array, height: Array) -> RaisedSupport | None:
     group, sizes = clusters(points[above], GAP)
     for one in np.flatnonzero(sizes >= FEWEST):
         mine = above[group == one]
-        tall = np.percentile(height[mine], 95) > level + LOWEST
-        if tall and _is_surrounded(points[mine, :2], points[surface, :2]):
+        if _is_thing(points[mine, :2], height[mine] - level, points[surface, :2], SURROUNDED):
             part[mine] = part.max() + 1
+            continue
+        # What stands at a wall of a bin is connected with it.
+        own, _ = standing_parts(points[mine], height[mine] - level, camera)
+        wall = int(np.bincount(own).argmax())
+        for other in sorted(set(own.tolist()) - {wall}):
+            thing = mine[own == other]
+            if _is_thing(points[thing, :2], height[thing] - level, points[surface, :2], AT_WALL):
+                part[thing] = part.max() + 1
     return RaisedSupport(part, level, sides)
 
 
-def _is_surrounded(foot: Array, surface: Array) -> bool:
-    """Whether places [M, 2] of a surface lie around a thing at places [K, 2], not below it."""
+def _is_thing(foot: Array, height: Array, surface: Array, around: float) -> bool:
+    """Whether places [M, 2] of a surface lie around a thing at places [K, 2], not below it, and it
+    rises above them.
+
+    Args:
+        foot, height: [K, 2], [K], the thing's places, and heights above the surface, m.
+        surface: [M, 2].
+        around: Least angle [deg] about the thing in which the surface is seen.
+    """
+    if np.percentile(height, 95) <= LOWEST:
+        return False
     near = surface[scipy.spatial.cKDTree(foot).query(surface)[0] < AROUND]
     away = near - foot.mean(axis=0)
     sector = np.floor(np.rad2deg(np.arctan2(away[:, 1], away[:, 0])) / 10.0)
-    if 10.0 * len(np.unique(sector)) < SURROUNDED:
+    if 10.0 * len(np.unique(sector)) < around:
         return False
     sides = scipy.spatial.ConvexHull(foot, qhull_options="QJ").equations  # of a sheet, too
     return _share_within(surface, sides) < UNDER

@@ -129,7 +129,7 @@ def segment_table(
     for one in big:
         mine = np.flatnonzero(own == one)
         parts, doubtful = np.zeros(len(mine), dtype=np.int64), frozenset[int]()
-        if found := raised_support(points[index[mine]], height[mine]):
+        if found := raised_support(points[index[mine]], height[mine], camera):
             supports[count], parts = found, found.part
             raised |= {count + k: found.height for k in range(1, int(parts.max()) + 1)}
         elif one not in bowls:  # the valley between a bowl's walls parts nothing

@@ -15,7 +15,7 @@ import coal
 import numpy as np
 import scipy
 
-from pointsdf_cli.camera.raised_support import BAND
+from pointsdf_cli.camera.raised_support import BAND, NARROWEST
 from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
@@ -142,10 +142,20 @@ def _completed(
         # The hull of floor and wall would be a wedge.
         floor = np.abs(points @ plane[:3] - plane[3] - level) < BAND
         return [*hulls(points[floor], 0.0, free), *hulls(points[~floor], 0.0, free)]
-    if item.size[0] > LONGEST:
-        return hulls(points, free=free)
+    if item.size[0] > LONGEST or _surrounds(points, labelled.listed, item):
+        return hulls(points, 0.0, free)
     view = view_of(labelled, sighting(labelled, item, cleaned, is_target=False), item.label)
     return obstacle_surfaces(network, view, seed)
+
+
+def _surrounds(points: Array, listed: Sequence[ListedObject], item: ListedObject) -> bool:
+    """Whether a wide object, of which these points [N, 3] are seen, is around another one, as a bin
+    is."""
+    if item.size[1] < NARROWEST or len(listed) < 2:
+        return False
+    sides = scipy.spatial.ConvexHull(points[:, :2]).equations
+    others = np.array([one.centre[:2] for one in listed if one.label != item.label])
+    return bool((others @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1).any())
 
 
 def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[CollisionMesh]:
