@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,28 +41,32 @@ def joined_at_rims(
         parts: The labels that may be walls.
         camera: [3], its position, m.
     """
+    rims = {one: Rim.of(points[label == one]) for one in parts}
     joined = label.copy()
-    for one, other in combinations(parts, 2):
-        if shares_rim(points[label == one], points[label == other], camera):
+    for one, other in combinations(rims, 2):
+        if on_one_circle(rims[one], rims[other], camera):
             joined[joined == other] = joined[label == one][0]
     return joined
 
 
-def shares_rim(first: Array, second: Array, camera: Array) -> bool:
-    """Whether two parts are the near and the far wall of one bowl.
+class Rim(NamedTuple):
+    """The upper edge of a part: its height [m], and places [R, 2] of its points, world, m."""
 
-    Args:
-        first, second: [N, 3] and [M, 3], points of the parts, world, m.
-        camera: [3], its position, m.
-    """
-    tops = [np.percentile(part[:, 2], 99) for part in (first, second)]
-    if abs(tops[0] - tops[1]) > LEVEL:
-        return False
-    rims = [
-        part[np.abs(part[:, 2] - top) < TOP, :2]
-        for part, top in zip((first, second), tops, strict=True)
-    ]
-    if min(map(len, rims)) < FEWEST:
+    height: float
+    places: Array
+
+    @classmethod
+    def of(cls, points: Array) -> Rim:
+        """The rim of points [N, 3], world, m."""
+        top = float(np.percentile(points[:, 2], 99))
+        return cls(top, points[np.abs(points[:, 2] - top) < TOP, :2])
+
+
+def on_one_circle(first: Rim, second: Rim, camera: Array) -> bool:
+    """Whether two rims are those of the near and the far wall of one bowl; the camera is at [3]
+    (world, m)."""
+    rims = first.places, second.places
+    if abs(first.height - second.height) > LEVEL or min(map(len, rims)) < FEWEST:
         return False
     centre, radius = _circle(np.concatenate(rims))
     away = np.abs(np.linalg.norm(np.concatenate(rims) - centre, axis=1) - radius)
