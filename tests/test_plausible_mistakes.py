@@ -141,9 +141,11 @@ def test_every_fitting_unit_of_depth_is_named() -> None:
     tum = np.full((480, 640), 4.0)  # of 0.8 m, in 1/5000 m
     tum[:240] = 6.0
     with pytest.raises(InputError) as told:
+        cloud_of_depth(tum, camera, nearest=0.1, farthest=2.5, scale=0.001)
+    for scale in ("0.0001 (0.4 to 0.6 m)", "0.0002 (0.8 to 1.2 m)", "0.00025 (1 to 1.5 m)"):
+        assert f"--depth-scale {scale}" in str(told.value.hint)
+    with pytest.raises(InputError, match="check --depth-scale"):
         cloud_of_depth(tum, camera, nearest=0.1, farthest=2.5)
-    for factor in ("0.1 (0.4 to 0.6 m)", "0.2 (0.8 to 1.2 m)", "0.25 (1 to 1.5 m)"):
-        assert factor in str(told.value.hint)
     assert "rgrasp cloud --far" in str(told.value.hint)
 
 
