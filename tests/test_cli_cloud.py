@@ -169,10 +169,10 @@ def test_intrinsics_that_cannot_be_used_say_why(folder: Path, cli: Callable, nam
 def test_floats_are_metres_and_gaps_are_dropped(tmp_path: Path) -> None:
     depth = np.array([[1.5, np.nan], [0.0, -1.0]], np.float32)
     np.save(tmp_path / "d.npy", depth)
-    assert np.array_equal(read_depth(tmp_path / "d.npy"), [[1.5, 0], [0, 0]])
-    assert np.allclose(read_depth(tmp_path / "d.npy", 0.1), [[0.15, 0], [0, 0]])
+    assert np.array_equal(read_depth(tmp_path / "d.npy")[0], [[1.5, 0], [0, 0]])
+    assert np.allclose(read_depth(tmp_path / "d.npy", 0.1)[0], [[0.15, 0], [0, 0]])
     Image.fromarray(np.array([[4000, 0]], np.uint16)).save(tmp_path / "d.png")
-    assert np.allclose(read_depth(tmp_path / "d.png", 0.00025), [[1.0, 0]])
+    assert np.allclose(read_depth(tmp_path / "d.png", 0.00025)[0], [[1.0, 0]])
 
 
 @pytest.mark.parametrize(
@@ -183,13 +183,13 @@ def test_a_pgm_says_what_was_written_in_it(tmp_path: Path, head: bytes, greatest
     text = b" ".join(b"%d" % value for value in depths.ravel())
     body = text if head == b"P2" else depths.astype(">u2").tobytes()
     (tmp_path / "d.pgm").write_bytes(head + b"\n# 9 9 9\n10 10\n%d\n" % greatest + body)
-    np.testing.assert_array_equal(read_depth(tmp_path / "d.pgm"), depths * 0.001)
+    np.testing.assert_array_equal(read_depth(tmp_path / "d.pgm")[0], depths * 0.001)
 
 
 def test_a_pgm_of_comments_alone_is_refused(tmp_path: Path) -> None:
     image = b"P5\n" + b"# " + b"x" * 5000 + b"\n2 2\n65535\n" + b"\x03\xe8" * 4
     (tmp_path / "long.pgm").write_bytes(image)
-    np.testing.assert_array_equal(read_depth(tmp_path / "long.pgm"), np.ones((2, 2)))
+    np.testing.assert_array_equal(read_depth(tmp_path / "long.pgm")[0], np.ones((2, 2)))
 
 
 def test_typed_intrinsics_are_one_message(folder: Path, cli: Callable) -> None:

@@ -110,7 +110,7 @@ def test_a_grasp_is_planned_on_a_real_depth_image(tmp_path: Path, cli: Callable)
 
 def test_cleaning_keeps_the_bottle_of_a_cluttered_image() -> None:
     folder = REAL / "ycbv"
-    depth = read_depth(folder / "depth.png", 0.0001)
+    depth = read_depth(folder / "depth.png", 0.0001)[0]
     height, width = depth.shape
     mask = binary_erosion(np.asarray(Image.open(folder / "label.png")) == 5)  # the mustard bottle
     camera = read_intrinsics(str(folder / "K.json"), width, height)

@@ -94,14 +94,10 @@ def _scale_hint(
 ) -> str:
     """Hint about --depth-scale for measured depths [N] out of range, m."""
     ranges = {factor: (factor * seen.min(), factor * seen.max()) for factor in FACTORS}
-    fits = {
-        factor * scale: (low, high)
-        for factor, (low, high) in ranges.items()
-        if scale is not None and nearest <= low and high <= farthest
-    }
-    if not fits:
+    fits = {f: r for f, r in ranges.items() if nearest <= r[0] and r[1] <= farthest}
+    if scale is None or not fits:
         return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
-    named = (f"--depth-scale {f:g} ({low:.2g} to {high:.2g} m)" for f, (low, high) in fits.items())
+    named = [f"--depth-scale {f * scale:g} ({a:.2g} to {b:.2g} m)" for f, (a, b) in fits.items()]
     far = "; a scene truly that far: rgrasp cloud --far" if seen.min() > farthest else ""
     return " or ".join(named) + far
 

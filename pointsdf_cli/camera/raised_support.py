@@ -55,7 +55,7 @@ class RaisedSupport(NamedTuple):
     def carries(self, points: Array, height: Array) -> bool:
         """Whether another group of points [K, 3], at these heights [K] above the table, stands on
         the surface."""
-        over = _share_within(points[:, :2], self.sides)
+        over = within_hull(points[:, :2], self.sides).mean()
         return bool(over > OVER and np.median(height) > self.height)
 
 
@@ -118,9 +118,9 @@ def _is_thing(foot: Array, height: Array, surface: Array, around: float) -> bool
     if 10.0 * len(np.unique(sector)) < around:
         return False
     sides = scipy.spatial.ConvexHull(foot, qhull_options="QJ").equations  # of a sheet, too
-    return _share_within(surface, sides) < UNDER
+    return bool(within_hull(surface, sides).mean() < UNDER)
 
 
-def _share_within(places: Array, sides: Array) -> float:
-    """Share of places [M, 2] within a convex hull of sides [S, 3]; see `RaisedSupport`."""
-    return float((places @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1).mean())
+def within_hull(places: Array, sides: Array) -> NDArray[np.bool_]:
+    """Mask of the places [M, 2] within a convex hull of sides [S, 3]; see `RaisedSupport`."""
+    return np.asarray((places @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1))

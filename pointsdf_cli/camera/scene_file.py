@@ -23,8 +23,8 @@ from pointsdf_cli.io.depth_images import (
     DEPTH_SUFFIXES,
     mask_file,
     read_colour,
+    read_depth,
     read_mask,
-    read_scaled_depth,
 )
 from pointsdf_cli.io.input_files import require_suffix
 from pointsdf_cli.io.provenance import file_sha256
@@ -225,7 +225,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
         raise InputError(
             "--unit with a depth image", where=path, hint="use --depth-scale (metres per unit)"
         )
-    depth, scale = read_scaled_depth(path, options.depth_scale)
+    depth, scale = read_depth(path, options.depth_scale)
     height, width = depth.shape
     camera = read_intrinsics(options.intrinsics, width, height)
     colours = None if options.colour is None else read_colour(options.colour)

@@ -32,15 +32,7 @@ def check_scale(scale: float | None) -> None:
         )
 
 
-def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float64]:
-    """A depth image f8 [height, width] in m along z; 0 where the camera saw nothing. Arguments and
-    errors: `read_scaled_depth`."""
-    return read_scaled_depth(path, scale)[0]
-
-
-def read_scaled_depth(
-    path: Path | str, scale: float | None = None
-) -> tuple[NDArray[np.float64], float]:
+def read_depth(path: Path | str, scale: float | None = None) -> tuple[NDArray[np.float64], float]:
     """A depth image f8 [height, width] in m along z, 0 where the camera saw nothing, and the scale
     that was taken.
 

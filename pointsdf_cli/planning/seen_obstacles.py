@@ -15,7 +15,7 @@ import coal
 import numpy as np
 import scipy
 
-from pointsdf_cli.camera.raised_support import BAND, NARROWEST
+from pointsdf_cli.camera.raised_support import BAND, NARROWEST, within_hull
 from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
@@ -155,7 +155,7 @@ def _surrounds(points: Array, listed: Sequence[ListedObject], item: ListedObject
         return False
     sides = scipy.spatial.ConvexHull(points[:, :2]).equations
     others = np.array([one.centre[:2] for one in listed if one.label != item.label])
-    return bool((others @ sides[:, :2].T + sides[:, 2] < 0).all(axis=1).any())
+    return bool(within_hull(others, sides).any())
 
 
 def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[CollisionMesh]:
@@ -214,7 +214,7 @@ def _missed(points: Array, mesh: CollisionMesh) -> Array:
 
 
 def hulls(
-    points: Array, longest: float = LONGEST, free: IsFree = nothing_free, fewest: int = SMALLEST
+    points: Array, longest: float = LONGEST, free: IsFree = nothing_free
 ) -> list[CollisionMesh]:
     """The convex hull of each cluster of points, down to the table; the convex parts of a long one.
 
@@ -222,10 +222,9 @@ def hulls(
         points: [N, 3], world, m; what one camera saw, or several.
         longest: Level extent [m] from which a cluster is divided.
         free: Places that were seen to be free.
-        fewest: Clusters of fewer points are noise.
     """
     found: list[CollisionMesh] = []
-    for cluster in _groups(points, fewest):
+    for cluster in _groups(points, SMALLEST):
         if _level_extent(cluster) <= longest:
             found.append(_hull(np.concatenate([cluster, cluster * [1.0, 1.0, 0.0]])))
         else:

@@ -60,11 +60,11 @@ def with_foot(points: Array, free: IsFree) -> Array:
     return np.concatenate([corners, corners * [1.0, 1.0, 0.0] + [0.0, 0.0, foot]])
 
 
-def thickened(corners: Array) -> Array:
-    """Corners [K, 3] of a solid: a plane side of a box may be all that is seen of a part, and
-    distances to flat hulls fail."""
-    for across in thin_directions(corners, LEAST_THICKNESS):
-        shift = LEAST_THICKNESS / 2 * across
+def thickened(corners: Array, least: float = LEAST_THICKNESS) -> Array:
+    """Corners [K, 3] of a solid that is `least` thick [m]: a plane side of a box may be all that is
+    seen of a part, and distances to flat hulls fail."""
+    for across in thin_directions(corners, least):
+        shift = least / 2 * across
         corners = np.concatenate([corners - shift, corners + shift])
     return corners
 
@@ -107,10 +107,7 @@ def _total(parts: list[_Part]) -> float:
 
 def _volume(corners: Array) -> float:
     """Volume [m³] of the hull of corners [K, 3], at least `THIN` in every direction."""
-    for across in thin_directions(corners, THIN):
-        shift = THIN / 2 * across
-        corners = np.concatenate([corners - shift, corners + shift])
-    return float(scipy.spatial.ConvexHull(corners).volume)
+    return float(scipy.spatial.ConvexHull(thickened(corners, THIN)).volume)
 
 
 def _corners(points: Array) -> Array:

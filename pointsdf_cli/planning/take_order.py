@@ -39,7 +39,7 @@ class OrderedObject(NamedTuple):
     def describe(self) -> str:
         """Describe the reason for its place in the order."""
         where = "in reach" if self.reached else "at the edge of the reach"
-        where += "" if self.fits else ", wide for the jaws"
+        where += "" if self.fits else ", too wide for the jaws"
         return f"object {self.item.number} ({where}, {self.free:.0%} of the directions free)"
 
 
