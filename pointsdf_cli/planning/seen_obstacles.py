@@ -220,7 +220,7 @@ def hulls(
 
     Args:
         points: [N, 3], world, m; what one camera saw, or several.
-        longest: Level extent [m] from which a cluster is divided.
+        longest: Level extent [m] above which a cluster is divided.
         free: Places that were seen to be free.
     """
     found: list[CollisionMesh] = []

@@ -18,7 +18,7 @@ from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.box import thin_directions
 
 NARROWEST = 0.05
-"""Level side [m] from which a part is not divided further."""
+"""Level side [m] up to which a part is not divided further."""
 EXCESS = 0.15
 """Share of its hull's volume that dividing a part must save."""
 SLIMMEST = 40.0
